@@ -149,26 +149,13 @@ def _coarser(steps: NDArray[np.int64]) -> float:
     return ratio if whole and ratio > 2 else 0.0
 
 
-def _even_times(
-    path: str, t: Array, column: Array, unit: float, dt: float | None
-) -> tuple[Array, tuple[float, float] | None]:
-    """Return the times at which rows were taken [s]; tick and period of a coarse clock that wrote others [s].
+def _fit_even_clock(path: str, ticks: _Ticks, dt: float | None) -> tuple[Array, float] | None:
+    """Return times of an even clock and its period [s] if it can have given such stamps, else None.
 
     An even clock of period dt that is rounded to ticks writes steps of two neighbouring numbers of ticks, in the rhythm
     that keeps t_k - k dt within one tick. Any two stamps of it bound dt: it is within a tick of their difference, over
     the rows between them. Times that have no such rhythm, of a clock that is late now and then, stay as they are.
     """
-    if len(t) < 3 or not (np.diff(t) >= 0).all():
-        return t, None
-    for ticks in _possible_ticks(column, unit):
-        if (found := _fit_even_clock(path, ticks, dt)) is not None:
-            times, period = found
-            return times, (ticks.tick, period)
-    return t, None
-
-
-def _fit_even_clock(path: str, ticks: _Ticks, dt: float | None) -> tuple[Array, float] | None:
-    """Return times of an even clock and its period [s] if it can have given such stamps, else None."""
     steps, rows = np.diff(ticks.at).round(), len(ticks.at)
     sizes, counts = np.unique(steps, return_counts=True)
     pairs = counts + np.append(np.where(np.diff(sizes) == 1, counts[1:], 0), 0)
@@ -285,9 +272,11 @@ def in_seconds(path: str, table: Table, unit: str, dt: float | None) -> tuple[Ar
         raise LogError("log.whole_time", file=path, column=heading, step=step)
     if not unit and not table.dated and len(values) and values[0] > 3e10:  # of a time since any date
         raise LogError("log.large_time", file=path, column=heading, value=float(values[0]))
-    t, coarse = _even_times(path, t, values, seconds, dt)
-    tick, period = coarse or (0.0, period_of(t) if len(t) > 1 else 0.0)
-    findings = [note("log.time", column=name, unit=unit, dates=bool(table.dated), dt=period)]
-    findings += [note("log.coarse_clock", column=name, tick=tick, dt=period)] if coarse else []
-    findings += [weak("log.whole_seconds", column=name)] if counts else []
-    return t, [*findings, *again]
+    period, said = period_of(t) if len(t) > 1 else 0.0, list[Finding]()
+    for ticks in _possible_ticks(values, seconds) if len(t) > 2 and (np.diff(t) >= 0).all() else ():
+        if (found := _fit_even_clock(path, ticks, dt)) is not None:
+            t, period = found
+            said = [note("log.coarse_clock", column=name, tick=ticks.tick, dt=period)]
+            break
+    said += [weak("log.whole_seconds", column=name)] if counts else []
+    return t, [note("log.time", column=name, unit=unit, dates=bool(table.dated), dt=period), *said, *again]

@@ -22,7 +22,6 @@ from dynasindy.data.headings import (
     named_by,
     parts_of,
     split_unit,
-    units_of,
 )
 from dynasindy.data.table import COUNTED, Table, counts, grows, read_columns
 from dynasindy.findings import Finding, LogError, note, weak
@@ -53,7 +52,7 @@ class Column:
 
 
 def with_units(
-    columns: Mapping[str, Column], headings: Iterable[str], states: bool, known: Mapping[str, str] | None = None
+    columns: Mapping[str, Column], states: bool, known: Mapping[str, str] | None = None
 ) -> dict[str, Column]:
     """Return columns with the units of their headings; degrees of states become rad.
 
@@ -61,13 +60,11 @@ def with_units(
     angle if the state is known or called to be its rate, as `speed` is beside a single one.
 
     Args:
-        columns: Columns by name.
-        headings: Headings of the file.
+        columns: Columns by name, with their headings in full.
         states: Whether they are states; inputs stay in the units of their actuators.
         known: The rate of each state, as far as it is known.
     """
-    units, found = units_of(headings), dict(columns)
-    inside = {name: units.get(column.name, "") for name, column in columns.items()}
+    inside, found = {name: split_unit(column.name)[1] for name, column in columns.items()}, dict(columns)
     angles = [name for name in columns if "rad" in (columns[name].unit, in_radians(inside[name])[0])]
     for name, column in columns.items():
         turns = column.unit == "rad/s" or (name in PLAIN_RATES and len(angles) == 1)
@@ -78,18 +75,17 @@ def with_units(
     return found
 
 
-def as_map(columns: Mapping[str, Column], headings: Iterable[str] = ()) -> dict[str, Any]:
+def as_map(columns: Mapping[str, Column]) -> dict[str, Any]:
     """Return the column map that says these columns: units and scales where the headings do not tell them, and ends.
 
     Args:
         columns: States, or inputs with their ends, by name.
-        headings: Headings of the file, where the columns do not hold them.
     """
-    units, found = units_of([*headings, *(column.name for column in columns.values())]), dict[str, Any]()
+    found = dict[str, Any]()
     for name, column in columns.items():
-        heading, inside = split_unit(column.name)[0], units.get(column.name) or "-"
+        heading, inside = split_unit(column.name)
         keys: dict[str, Any] = {"name": heading} if column.name else {}
-        read = in_radians(inside) if column.low is None else (inside, 1.0)
+        read = in_radians(inside or "-") if column.low is None else (inside or "-", 1.0)
         if not column.name or (column.unit, column.scale) != read:
             keys |= {"unit": column.unit} if column.unit != "-" else {}
             keys |= {"scale": float(f"{column.scale:.7g}")} if column.scale != 1 else {}

@@ -9,18 +9,17 @@ from collections.abc import Callable, Iterable, Sequence
 from dynasindy.systems.base import TURNS
 
 SECONDS = {
-    **dict.fromkeys(("s", "sec"), 1.0),
-    **dict.fromkeys(("ms", "msec"), 1e-3),
-    **dict.fromkeys(("us", "\u00b5s", "\u03bcs", "usec"), 1e-6),
-    **dict.fromkeys(("ns", "nsec"), 1e-9),
-    "min": 60.0,
-    "h": 3600.0,
-    **dict.fromkeys(("d", "day", "days"), 86400.0),
-    **dict.fromkeys(("second", "seconds"), 1.0),
-    **dict.fromkeys(("millisecond", "milliseconds", "millis"), 1e-3),
-    **dict.fromkeys(("microsecond", "microseconds", "micros"), 1e-6),
-    **dict.fromkeys(("minute", "minutes"), 60.0),
-    **dict.fromkeys(("hour", "hours"), 3600.0),
+    unit: seconds
+    for seconds, units in {
+        1.0: "s sec second seconds",
+        1e-3: "ms msec millisecond milliseconds millis",
+        1e-6: "us \u00b5s \u03bcs usec microsecond microseconds micros",
+        1e-9: "ns nsec",
+        60.0: "min minute minutes",
+        3600.0: "h hour hours",
+        86400.0: "d day days",
+    }.items()
+    for unit in units.split()
 }
 """Units of time, in seconds; capital letters are as good."""
 UNITS = frozenset((
@@ -36,10 +35,8 @@ NAME = re.compile(r"[^\W\d][\w .-]*")
 """Names that can be told from functions and numbers in an equation."""
 ALONE = 4
 """Letters from which on a unit alone, such as `millis`, is the name of a time; `s` or `h` may be a way or a height."""
-SUFFIXES = {
-    "deg_s": "deg/s", "dps": "deg/s", "rad_s": "rad/s", "deg": "deg", "rad": "rad", "rpm": "rpm", "pct": "%", "V": "V",
-}  # fmt: skip
-"""Units as the end of a name has them, `angle_deg`."""
+ENDINGS = {"dps": "deg/s", "rpm": "rpm", "pct": "%", "V": "V"}
+"""Units as the end of a name has them behind a `_`, `supply_V`, beside those of angles."""
 ANGLES = {
     **dict.fromkeys(("deg", "degs", "degree", "degrees", "\u00ba"), "deg"),
     **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
@@ -74,8 +71,6 @@ def plain_heading(heading: str) -> str:
     own = name, unit = split_unit(heading)
     if unit.isdigit():
         name, unit = heading, ""
-    if not unit and (end := next((e for e in SUFFIXES if len(name) > len(e) + 1 and name.endswith(f"_{e}")), "")):
-        name, unit = name[: -len(end) - 1], SUFFIXES[end]
     if not unit and (found := re.fullmatch(r"(.*?\w)(?:\s+in)?\s*(\u00b0[CF]?|%)", name)):  # no letters of a name
         name, unit = found.groups()
     name, unit = (name, _plain_unit(unit)) if unit else _apart(name)
@@ -102,6 +97,8 @@ def _apart(name: str) -> tuple[str, str]:
             continue
         unit = _plain_unit(text)
         said = between[0].strip() in ("in", ",") and unit.lower() in UNITS
+        if between[0] == "_" and text in ENDINGS:
+            unit, said = ENDINGS[text], True
         if between.start() and (said or re.fullmatch(r"(m?rad|[mc]?deg|\u00b0)(/s)?", unit)):
             return name[: between.start()], unit
     return name, ""
@@ -116,13 +113,6 @@ def plain_headings(headings: Sequence[str]) -> list[str]:
         unit = "" if split_unit(old)[1] else split_unit(new)[1]
         found.append(new if names.count(name) == 1 else f"{old} [{unit}]" if unit else old)
     return found
-
-
-def units_of(headings: Iterable[str]) -> dict[str, str]:
-    """Return the unit that each heading names, by the heading, by its name alone and by `name_unit`."""
-    split = {heading: split_unit(heading) for heading in headings}
-    ended = {f"{n}_{end}": unit for n, unit in split.values() for end, ending in SUFFIXES.items() if ending == unit}
-    return ended | dict(split.values()) | {heading: unit for heading, (_, unit) in split.items()}
 
 
 def in_radians(unit: str, turns: bool = True) -> tuple[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
@@ -107,7 +107,6 @@ def require_consistent_rates(
     signature: Signature,
     known: Mapping[str, str],
     columns: Mapping[str, Column],
-    headings: Iterable[str] = (),
     file: str = "",
 ) -> None:
     """Refuse rates that are known and cannot be those of their states, for their equations are taken as exact.
@@ -117,7 +116,6 @@ def require_consistent_rates(
         signature: Names and units of the states.
         known: The rate of each state; other equations are not looked at.
         columns: The columns that were read, by state.
-        headings: Headings of the file, where they are known.
         file: The file, for the message.
 
     Raises:
@@ -136,7 +134,7 @@ def require_consistent_rates(
         allowed = f"the unit of {state} per second" if unit == "-" else _unit_of_rate(unit)
         from dynasindy.data.columns import as_map  # with pandas, which data of a simulation do without
 
-        raise LogError(each.code, **place, **each.values, unit=allowed, states=as_map(mended, headings))
+        raise LogError(each.code, **place, **each.values, unit=allowed, states=as_map(mended))
 
 
 def _compare(data: Transitions, state: int, rate: int) -> tuple[float, float]:

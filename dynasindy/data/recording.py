@@ -6,7 +6,7 @@ A row without a time or an input is skipped. One without a state stays, NaN ther
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,14 +17,8 @@ import torch
 from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
-from dynasindy.data.columns import (
-    Column,
-    as_map,
-    find_clock,
-    infer,
-    with_units,
-)
-from dynasindy.data.headings import NAME, find_names, in_radians, named_by, split_unit, units_of
+from dynasindy.data.columns import Column, as_map, find_clock, infer, with_units
+from dynasindy.data.headings import NAME, find_names, in_radians, named_by, split_unit
 from dynasindy.data.rates import require_consistent_rates
 from dynasindy.data.resampling import EVEN, resample
 from dynasindy.data.table import correct_map, read_columns, select_columns
@@ -78,11 +72,14 @@ class Recording:
         return "\n".join([f"{head}; inputs {', '.join(signature.input_names)}", *lines_of(self.findings)])
 
 
+_Roles = tuple[str, dict[str, Column], dict[str, Column]]
+"""Heading of the time, states and inputs."""
+
+
 class _Part(NamedTuple):
-    """Hold what one file gave: its headings, columns, times [s], states and inputs."""
+    """Hold what one file gave: its columns, times [s], states and inputs."""
 
     path: str
-    headings: Sequence[str]
     states: dict[str, Column]
     inputs: dict[str, Column]
     t: Array
@@ -178,10 +175,10 @@ class LogReader:
                 f"one out: {correct_map()}"
             )
         findings = list[Finding]()
-        parts = [self._part(path, time, states, inputs, findings) for path in self.paths]
-        _, headings, states, inputs, *_ = parts[0]
+        parts = [self._part(path, (time, states, inputs), plant, findings) for path in self.paths]
+        _, states, inputs, *_ = parts[0]
         dt = _one_period(parts, self.dt)
-        findings += _conversions(states, headings)
+        findings += _conversions(states)
         u = np.concatenate([part.u for part in parts])
         ranges, ends = _actuator_ranges(str(self), u, inputs, plant is None, findings)
         rest, unit = np.array([(each.rest, each.unit) for each in ranges]).T
@@ -206,14 +203,12 @@ class LogReader:
         scale = tuple(size or 1.0 for size in most.values())
         reach = actuator_units(ranges, [column.unit for column in inputs.values()])
         signature = Signature(tuple(states), units, tuple(inputs), scale, **reach)
-        require_consistent_rates(data, signature, self.known_rates([*states]), states, headings, str(self))
+        require_consistent_rates(data, signature, self.known_rates([*states]), states, str(self))
         if plant is not None:
             signature = _of_plant(signature, plant, data.x.isnan().all(0).tolist())
         return Recording(data, signature, (*findings, *left_out), ends)
 
-    def _columns(
-        self, plant: Signature | None, findings: list[Finding]
-    ) -> tuple[str, dict[str, Column], dict[str, Column]]:
+    def _columns(self, plant: Signature | None, findings: list[Finding]) -> _Roles:
         """Return the heading of the time, states and inputs: those that were given, of the plant, or else inferred."""
         mapped = [isinstance(given, Mapping) for given in (self.states, self.inputs)]
         states, inputs = (
@@ -229,7 +224,7 @@ class LogReader:
                 for name, unit in zip(plant.state_names, plant.state_units, strict=True)
             }
             inputs = inputs or {name: Column(name) for name in plant.input_names}
-            return time, states, _with_actuator_ranges(inputs, headings, plant)
+            return time, states, inputs
         if not (states and inputs and all(mapped)):
             named = [column.name for column in inputs.values()] or None
             inferred = self._infer(time, named, None if mapped[0] else [*states] or None, findings)
@@ -265,20 +260,24 @@ class LogReader:
         several = {"file": path} if len(self.paths) > 1 else {}
         return [replace(each, values={**each.values, **several}) for each in findings]
 
-    def _part(
-        self, path: str, time: str, states: dict[str, Column], inputs: dict[str, Column], said: list[Finding]
-    ) -> _Part:
+    def _part(self, path: str, roles: _Roles, plant: Signature | None, said: list[Finding]) -> _Part:
         """Read one file as it is: times, states in their units, and inputs in theirs."""
+        time, states, inputs = roles
         clock, unit = clock_of(read_columns(Path(path)).headings, time)
         names = [clock, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
         table = select_columns(Path(path), names, self.dt)
         findings, driving = [*table.findings], slice(len(names) - len(inputs), None)
+        full = dict(zip(names[1:], table.headings[1:], strict=True)) | {"": ""}
+        states, inputs = (
+            {name: replace(column, name=full[column.name]) for name, column in columns.items()}
+            for columns in (states, inputs)
+        )
+        states = with_units(states, True, self.known_rates([*states]))
+        inputs = with_units(inputs if plant is None else _with_actuator_ranges(inputs, plant), False)
         finite = np.isfinite(table.frame)
         frame = table.frame if finite.to_numpy().all() else table.frame.where(finite)
         frame = _without_copies(_hold_inputs(frame, driving, findings), findings)
         frame, whole = _with_times(frame, driving, findings)
-        states = with_units(states, frame, True, self.known_rates([*states]))
-        inputs = with_units(inputs, frame, False)
         t, of_time = in_seconds(path, replace(table, frame=frame), unit, self.dt)
         t, lines, values = t[whole], frame.index[whole], frame.to_numpy()[whole].T
         if len(t) < 2:
@@ -287,7 +286,7 @@ class LogReader:
             k = int(back.argmax())
             place = {"line": int(lines[k + 1]), "column": clock}
             raise LogError("log.time_order", file=path, **place, after=float(t[k + 1]), before=float(t[k]))
-        columns = dict(zip(names[1:], values[1:], strict=True))
+        columns = dict(zip(table.headings[1:], values[1:], strict=True))
         x = {
             name: unwrap_angle(
                 name, _without_spikes(name, columns[c.name] * c.scale, lines, findings), c.unit, findings
@@ -297,7 +296,7 @@ class LogReader:
         }
         u = np.stack([columns[c.name] * c.scale for c in inputs.values()], -1)
         said += self._of_file(path, [*of_time, *findings])
-        return _Part(path, [*frame], states, inputs, t, x, u)
+        return _Part(path, states, inputs, t, x, u)
 
     def _require_enough(self, data: Transitions, states: Mapping[str, Column], findings: Sequence[Finding]) -> None:
         """Refuse recordings of too few transitions, or with too few samples of a state that has a column."""
@@ -469,20 +468,19 @@ def _long_gaps(x: Mapping[str, Array], segment: NDArray[np.int64], findings: lis
     return np.asarray(out | (begun * ahead == 0))
 
 
-def _conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[Finding]:
+def _conversions(columns: Mapping[str, Column]) -> list[Finding]:
     """Return which columns were converted, and the map that keeps their units; nothing where none was."""
-    units = units_of(headings)
     changed = {
         name: unit
         for name, column in columns.items()
-        if (unit := units.get(column.name)) and (column.unit, column.scale) == in_radians(unit) != (unit, 1)
+        if (unit := split_unit(column.name)[1]) and (column.unit, column.scale) == in_radians(unit) != (unit, 1)
     }
     if not changed:
         return []
     logged = {name: column for name, column in columns.items() if column.name}
     kept = logged | {name: replace(columns[name], unit=unit, scale=1.0) for name, unit in changed.items()}
     both = {name: (unit, columns[name].unit) for name, unit in changed.items()}
-    return [note("log.converted", units=both, kept=as_map(kept, headings))]
+    return [note("log.converted", units=both, kept=as_map(kept))]
 
 
 def _of_plant(log: Signature, plant: Signature, unmeasured: Sequence[bool]) -> Signature:
@@ -648,19 +646,19 @@ def _with_ends(column: Column, reach: ActuatorScaling) -> Column:
     return replace(column, low=low, high=high, rest=rest)
 
 
-def _with_actuator_ranges(inputs: Mapping[str, Column], headings: Sequence[str], plant: Signature) -> dict[str, Column]:
+def _with_actuator_ranges(inputs: Mapping[str, Column], plant: Signature) -> dict[str, Column]:
     """Return columns of inputs with the ends that a plant says of its actuators.
 
     A column whose heading has the unit `[-]` holds the numbers that a rig gets, as its logs do, and keeps them.
     """
-    columns, inside = dict(inputs), units_of(headings)
+    columns = dict(inputs)
     limits = np.array(plant.input_limits or (WHOLE,) * plant.n_u).T
     ends = plant.in_own_units(np.stack([*limits, np.zeros(plant.n_u)]))  # and what is zero of each
     for place, (name, own) in enumerate(zip(plant.input_names, plant.input_units or "-" * plant.n_u, strict=True)):
         column, reach = columns.get(name), ActuatorScaling(*ends[:, place].tolist())
         if column is None or reach == PLAIN:
             continue
-        unit = inside.get(column.name, "") if column.unit == "-" else column.unit
+        unit = split_unit(column.name)[1] if column.unit == "-" else column.unit
         if column.low is not None and column.high is not None:
             given = ActuatorScaling.of(column.low, column.high, column.rest)
             both = (given.low, given.high, given.rest), (reach.low, reach.high, reach.rest)

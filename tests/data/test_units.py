@@ -41,9 +41,9 @@ def test_a_sign_at_the_end_is_the_unit(heading, name, unit):
 
 def test_turns_per_minute_are_those_of_an_angle_or_stay():
     """A rotor's speed is no rate of the pitch that it moves."""
-    headings = ["pitch [deg]", "pitch_rate [rpm]", "rotor [rpm]", "motor [rpm]"]
-    columns = {name: Column(name) for name in ("pitch", "pitch_rate", "rotor", "motor")}
-    found = with_units(columns, headings, True, {"pitch": "motor"})
+    headings = {"pitch": "deg", "pitch_rate": "rpm", "rotor": "rpm", "motor": "rpm"}
+    columns = {name: Column(f"{name} [{unit}]") for name, unit in headings.items()}
+    found = with_units(columns, True, {"pitch": "motor"})
     assert {name: column.unit for name, column in found.items()} == {
         "pitch": "rad",
         "pitch_rate": "rad/s",
