@@ -286,21 +286,25 @@ class SindyModel(WorldModel):
         with self._whole():
             if again := self._cuts and 0 < len(self.places) == len(self.library):
                 self._keep([])  # other data may need other functions
-            library = self.library.with_step(None if self.step is None else UNTOLD)
-            return self._identify(transitions, RunningSums(len(library), self.signature.n_x), 0.0, library, again)
+            self.library = self.library.with_step(None if self.step is None else UNTOLD)
+            return self._identify(transitions, again)
 
     def update(self, transitions: Transitions) -> FitReport:
-        """Identify the model anew from all earlier data and new transitions, at the cost of the new ones.
-
-        The refinement, if any, works on the new transitions. Where it changes a number inside a function or the delay
-        of the inputs, what was summed of earlier data is of other functions, and left out.
+        """Identify an `additive` model anew from all earlier data and new transitions, at the cost of the new ones.
 
         Raises:
+            NotImplementedError: the model is not additive.
             ValueError: samples are too few, not finite, or not a step of the equation apart; the model stays as it was.
             Diverged: a coefficient is not finite; the model stays as it was.
         """
+        if not self.additive:
+            return super().update(transitions)
+        start = time.perf_counter()
         with self._whole():
-            return self._identify(transitions, self.sums.copy(), self.delay, self.library)
+            self.absorb(transitions)
+            self._solve(self.sums)
+        seconds, dt = time.perf_counter() - start, self.step or transitions.dt
+        return FitReport.of(self.library, self.coefficients, self.sums, seconds, dt=dt)
 
     @property
     def additive(self) -> bool:
@@ -330,14 +334,12 @@ class SindyModel(WorldModel):
             guess = settle_lag_states(reconstruct(data, rates), self.followers)
             self.sums.add(self._rows(RegressionData(data, guess, rates, self.delay).delayed(self.delay)))
 
-    def _identify(
-        self, transitions: Transitions, sums: RunningSums, delay: float, library: Library, cut_before: bool = False
-    ) -> FitReport:
-        """Fit to the sums of earlier data and to new transitions, whose inputs act `delay` seconds later.
+    def _identify(self, transitions: Transitions, cut_before: bool) -> FitReport:
+        """Fit to transitions alone.
 
         A library that was cut before is cut again, however many data there are: the whole one may take too long.
         """
-        start, self.sums, earlier, self.library = time.perf_counter(), sums, sums.count, library
+        start, self.sums = time.perf_counter(), RunningSums(len(self.library), self.signature.n_x)
         data = self._checked(transitions)
         rates, first = rate_states(self.library, self.constraints), None
         guess = settle_lag_states(reconstruct(data, rates), self.followers)
@@ -347,21 +349,21 @@ class SindyModel(WorldModel):
             led = simulate_hidden_states(self.library, first, data, late, rates)
             started = _start_lag_states(self.library, first, led, self.followers)
             guess = replace(started, u=data.u, u_end=data.u_end)
-        seen = RegressionData(data, guess, rates, delay).delayed(delay)
+        seen = RegressionData(data, guess, rates)
         rows, cut = self._rows(seen), list[Finding]()
         # Where states were not all measured, regressions choose badly, and trajectories from the whole library.
         fewest = 1 if seen.half else FEWEST_EACH
         few = len(data) < fewest * len(self.library) or (cut_before and not seen.half)
-        if self._cuts and not earlier and few:
+        if self._cuts and few:
             rows, cut = self._cut(rows)
         self.sums.add(rows)
         if first is None:
             self._solve(self.sums, seen.dependent)
-            if self.refinement is None and not earlier:  # sums tell the textbook's alone, too small many times over
+            if self.refinement is None:
                 self.covariance = of_rates(self.coefficients, self.constraints.free, *rows)
         else:
             self.set_coefficients(first)
-        self.delay = delay
+        self.delay = 0.0
         refined = self._refine(data, guess, None if first is None else self.initial_delay)
         findings = (*cut, *refined.findings)
         if self.refinement is not None:
@@ -374,7 +376,7 @@ class SindyModel(WorldModel):
             self.sums,
             time.perf_counter() - start,
             # The sums may be of fewer rows than that, each of them the average of many transitions.
-            samples=int(rows_after_delay(data, self.delay).sum()) + (earlier if self.sums is sums else 0),
+            samples=int(rows_after_delay(data, self.delay).sum()),
             residual=refined.missed,
             findings=findings,
             dt=data.dt,
