@@ -115,23 +115,14 @@ def run_command(command: str, words: Sequence[str], folder: Path, result: Path, 
         RuntimeError: It left no such file.
     """
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "scripts" / f"{command}.py"), *words],
-        cwd=folder,
-        env={
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(filter(None, [*map(str, modules), str(ROOT), os.environ.get("PYTHONPATH")])),
-        },
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    given = [sys.executable, str(ROOT / "scripts" / f"{command}.py"), *words]
+    places = os.pathsep.join(filter(None, [*map(str, modules), str(ROOT), os.environ.get("PYTHONPATH")]))
+    environment = {**os.environ, "PYTHONPATH": places}
+    done = subprocess.run(given, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if not result.is_file():
-        given = " ".join(words)
-        raise RuntimeError(
-            f"{command}.py {given} ended with {done.returncode} and no {result.name}: {done.stderr[-500:]}"
-        )
+        ended = f"ended with {done.returncode} and no {result.name}: {done.stderr[-500:]}"
+        raise RuntimeError(f"{command}.py {' '.join(words)} {ended}")
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 

@@ -130,7 +130,6 @@ CASES = {
     "bench": Case(sensors=BENCH, longest_delay=None),
     "bench_delay": Case(sensors=replace(BENCH, actuator_delay=1), longest_delay=None),
     "detuned": Case(detuned=True, integral=True, plants=("tras",)),
-    "friction": Case(episodes=5, integral=True, plants=("trms33",)),
     "friction_alone": Case(integral=True, plants=("trms33",)),  # the excitation and nothing else
 }
 

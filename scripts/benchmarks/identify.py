@@ -22,8 +22,6 @@ from benchmarks.common import RESULTS, EquationSystem, commit
 from benchmarks.pysindy_regression import (
     Score,
     best_threshold,
-    integral_rows,
-    own_rows,
     score,
     smoothed_rows,
     stlsq,
@@ -208,76 +206,6 @@ def trms33(_: int) -> list[Row]:
     return [*rows, rig(Trms33(), "rotor", excitation, "")[0]]
 
 
-def pysindy_rows(seeds: int) -> list[Row]:
-    """Fit PySINDy to the same data of `xi` with the same 27 functions: defaults, and the best thresholds of a grid.
-
-    Given rows are averages over the sampling intervals, as ours, from which its optimiser learns without derivatives
-    of its own; scaled rates are those of each state divided by their 2-norm, so that one threshold suits all states.
-    """
-    import pysindy
-
-    truth, library, rows = true_table(), paper_table(Xi().signature), []
-    for label, seconds, dt in (("10 s at 0.01 s", 10.0, 0.01), ("20 s at 0.05 s", 20.0, 0.05)):
-        data = [xi_recordings(seconds, dt, [seed])[0] for seed in range(seeds)]
-        own = {order: [own_rows(library, d, pysindy.FiniteDifference(order)) for d in data] for order in (2, 4)}
-        given = [integral_rows(library, d) for d in data]
-        default = [score(stlsq(pair, pysindy.STLSQ()), truth) for pair in own[2]]
-        rows.append(_pysindy_row("PySINDy defaults", label, default))
-        best = max((best_threshold(f"order {k}", pairs, truth) for k, pairs in own.items()), key=lambda one: one[0])
-        rows.append(_pysindy_row(f"PySINDy best: {best[1]}", label, best[2]))
-        for words, scaled in (("", False), (" and scaled rates", True)):
-            _, name, scores = best_threshold("fourth order", given, truth, scaled)
-            method = f"PySINDy, our integral form{words}, best: {name}"
-            exact = sum(found[:2] == (19, 0) for found in scores)
-            rows.append(_pysindy_row(method, label, scores))
-            rows.append(row(method, f"xi, {label}: seeds with 19 of 19 terms and 0 false", f"{exact} of {seeds}"))
-    return rows
-
-
-def _pysindy_row(method: str, label: str, scores: list[Score]) -> Row:
-    true, false, worst = (median(s[k] for s in scores) for k in range(3))
-    return row(method, f"xi, {label}: true, false terms, worst error, median seed", f"{true:g}, {false:g}, {worst:.2g}")
-
-
-def refit(_: int) -> list[Row]:
-    """Refit after 20 s of new data on top of 1e6 and 1e7 stored samples."""
-    import pysindy
-
-    plant, library = Xi(), paper_table(Xi().signature)
-    model, rows = SindyModel(plant.signature, library, Regression(normalize="rms")), []
-    generator = torch.Generator().manual_seed(0)
-    (new,) = xi_recordings(20.0, 0.01, [0])
-    for total in (1_000_000, 10_000_000):
-        while model.sums.count < total:
-            n = min(100_000, total - model.sums.count)
-            x = 2 * torch.rand(n, 6, generator=generator, dtype=torch.float64) - 1
-            x[:, 4:] *= 3000
-            u = 2 * torch.rand(n, 2, generator=generator, dtype=torch.float64) - 1
-            model.sums.add((library(x, u), plant(x, u)))
-        stored = model.sums.copy()
-        times = []
-        for _ in range(21):
-            model.sums = stored.copy()
-            times.append(time_call(lambda: model.update(new)))
-        goal = "<= 10" if total == 1_000_000 else "<= 2 x the row above"
-        what = f"refit after 2000 new samples on top of {total:.0e} [ms]"
-        rows.append(row("ours", what, f"{1e3 * median(times):.2f}", goal))
-    x = 2 * torch.rand(1_002_000, 6, generator=generator, dtype=torch.float64) - 1
-    u = 2 * torch.rand(1_002_000, 2, generator=generator, dtype=torch.float64) - 1
-    theta, dx = library(x, u).numpy(), plant(x, u).numpy()
-    optimizer = pysindy.STLSQ(threshold=0.9, alpha=0, normalize_columns=True)
-    seconds = time_call(lambda: optimizer.fit(theta, dx))
-    rows.append(row("PySINDy STLSQ, functions given", "fit of 1e6 + 2000 samples [ms]", f"{1e3 * seconds:.0f}"))
-    return rows
-
-
-def time_call(call: Callable[[], object]) -> float:
-    """Return the CPU time of a call [s]."""
-    start = time.process_time()
-    call()
-    return time.process_time() - start
-
-
 def cramer_rao(library: Library, truth: Tensor, clean: Transitions, sigma: Tensor) -> Tensor:
     """Return the smallest standard error of each true term, the start state unknown, `(P,)`.
 
@@ -380,16 +308,13 @@ def _ours(
         ratio = parameters.read(model.coefficients - truth) / bound
         ratios.append(float(ratio.square().mean().sqrt()))
     worst = max(found[2] for found in scores)
-    figures = {
-        "seeds with all terms and 0 false": (f"{_exact(scores, truth)} of {len(data)}", "all" if level < 0.02 else ""),
-        "rms error / Cramer-Rao bound, median and worst seed": (
-            f"{median(ratios):.2f}, {max(ratios):.2f}",
-            "<= 2",
-        ),
-        "worst relative coefficient error, worst seed": (f"{worst:.2g}", ""),
-        "fit [s], median": (f"{median(seconds):.2g}", ""),
-    }
-    return [row("ours", f"{where}: {measure}", *value) for measure, value in figures.items()]
+    bounds, goal = f"{median(ratios):.2f}, {max(ratios):.2f}", "all" if level < 0.02 else ""
+    return [
+        row("ours", f"{where}: seeds with all terms and 0 false", f"{_exact(scores, truth)} of {len(data)}", goal),
+        row("ours", f"{where}: rms error / Cramer-Rao bound, median and worst seed", bounds, "<= 2"),
+        row("ours", f"{where}: worst relative coefficient error, worst seed", f"{worst:.2g}"),
+        row("ours", f"{where}: fit [s], median", f"{median(seconds):.2g}"),
+    ]
 
 
 def _theirs(library: Library, truth: Tensor, data: list[Transitions], where: str) -> list[Row]:
@@ -426,7 +351,5 @@ CASES: dict[str, Callable[[int], list[Row]]] = {
     **{name: partial(textbook, case) for name, case in TEXTBOOK.items()},
     "tras": tras,
     "trms33": trms33,
-    "pysindy": pysindy_rows,
-    "refit": refit,
 }
 """The cases of the table, by name."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from torch import Tensor
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.reconstruction import RegressionData, rate_states, reconstruct
-from dynasindy.sindy.regression import Rows, integral_form, simpson_form
+from dynasindy.sindy.regression import Rows
 from dynasindy.systems.transitions import Transitions
 
 Score = tuple[int, int, float]
@@ -55,27 +54,6 @@ def pysindy_of(model: SindyModel, data: Transitions, threshold: float) -> SindyM
     if bool((theirs.coefficients == 0).all(0).any()):
         raise ValueError("a state has no equation")
     return theirs
-
-
-def integral_rows(library: Library, data: Transitions) -> Rows:
-    """Return functions averaged over the intervals by Simpson's rule, and mean rates; midpoints by least squares."""
-    rows = integral_form(library, data)
-    for _ in range(2):
-        norms = rows[0].norm(dim=0)
-        scale = torch.where(norms > 0, norms, 1.0)
-        dense = torch.linalg.lstsq(rows[0] / scale, rows[1], driver="gelsd").solution / scale.unsqueeze(-1)
-        rows = simpson_form(library, partial(_field, library, dense), data)
-    return rows
-
-
-def _field(library: Library, coefficients: Tensor, x: Tensor, u: Tensor) -> Tensor:
-    return library(x, u) @ coefficients
-
-
-def own_rows(library: Library, data: Transitions, derivative: Any) -> Rows:
-    """Return functions at the samples and the rates that PySINDy differentiates from them."""
-    x = torch.cat([data.x, data.x_next[-1:]]).numpy()
-    return library(data.x, data.u), torch.from_numpy(derivative._differentiate(x, data.dt)[:-1])
 
 
 def smoothed_rows(library: Library, data: Transitions, length: int) -> Rows:

@@ -25,7 +25,7 @@ import torch
 import yaml
 from torch import Tensor
 
-from benchmarks.common import add_choices, add_output, append, commit
+from benchmarks.common import add_choices, add_output, append
 from benchmarks.opponents import (
     FIRST,
     KEPT,
@@ -47,7 +47,7 @@ from dynasindy.data.headings import CLOCKS, SECONDS, in_radians, plain_heading, 
 from dynasindy.identification.forecast_errors import predict_ahead
 from dynasindy.identification.identify import identify, read
 from dynasindy.identification.source import Source
-from dynasindy.safe_io import Row, read_rows, write_csv, write_rows
+from dynasindy.safe_io import Row, write_csv
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.sindy.refinement import Refinement
@@ -56,9 +56,6 @@ from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.transitions import Transitions
 
 COLUMNS = ("rig", "model", "metric", "value", "unit", "coefficients", "cpu_seconds", "commit")
-COURSES = ("rig", "model", "seconds", "error", "unit", "commit")
-POINTS = 250
-"""Errors of each model over the test log that are kept, evenly spread."""
 STARTS, TRIED = 200, 40
 """Samples from which predictions are scored, and from which models are chosen, at most."""
 FACTS: dict[str, dict[str, Any]] = yaml.safe_load(Path(__file__).with_name("rigs.yaml").read_text())
@@ -79,13 +76,7 @@ def main(arguments: argparse.Namespace) -> None:
         with tempfile.TemporaryDirectory() as folder:
             case = Case.of(rig, arguments.data, Path(folder))
             for model in case.models(arguments.models):
-                rows, courses = score(case, model)
-                append(arguments.out, COLUMNS, rows)
-                if courses:
-                    path = arguments.out.with_name(f"{arguments.out.stem}_over_time.csv")
-                    before = read_rows(path) if path.exists() else []
-                    others = [row for row in before if (row["rig"], row["model"]) != (rig, model)]
-                    write_rows(path, COURSES, [*others, *({**row, "commit": commit()} for row in courses)])
+                append(arguments.out, COLUMNS, score(case, model))
 
 
 @dataclass(frozen=True)
@@ -200,8 +191,8 @@ def rms(errors: Array) -> float:
     return found if np.isfinite(found) else float("inf")
 
 
-def score(case: Case, name: str) -> tuple[list[Row], list[Row]]:
-    """Fit a model and return its scores on the test log, and its errors over a simulation of it."""
+def score(case: Case, name: str) -> list[Row]:
+    """Fit a model and return its scores on the test log."""
     start = time.process_time()
     with np.errstate(all="ignore"):
         model = MODELS[name](case)
@@ -213,24 +204,14 @@ def score(case: Case, name: str) -> tuple[list[Row], list[Row]]:
         if case.facts.get("simulated"):
             found["test simulated"] = errors_simulated(model, case.test, case.begin)
         facts = {"rig": case.rig, "model": name, "coefficients": model.coefficients, "cpu_seconds": spent}
-        rows, courses = [], []
+        rows = []
         found = {metric: errors for metric, errors in found.items() if len(errors)}  # the log may be too short
         for (metric, errors), (group, of) in product(found.items(), case.facts["scores"].items()):
             places = [list(case.states).index(state) for state in of.get("states", case.states)]
             mine = of.get("scale", 1.0) * errors[..., places]
             label = metric if metric == "test simulated" else f"{group} {metric}"
             rows.append({**facts, "metric": f"{label}, RMSE", "value": float(f"{rms(mine):.4g}"), "unit": of["unit"]})
-            if metric == "test simulated":
-                facts_of = {"rig": case.rig, "model": name, "unit": of["unit"]}
-                courses += [{**facts_of, **row} for row in course(mine[:, 0], case.test.dt, FIRST + 1)]
-    return rows, courses
-
-
-def course(errors: Array, dt: float, first: int) -> list[Row]:
-    """Return errors `(N,)`, from a first sample on, evenly spread; none from one on that is not finite."""
-    kept = np.linspace(0, len(errors) - 1, min(len(errors), POINTS)).round().astype(int)
-    kept = kept[np.isfinite(errors).cumprod().astype(bool)[kept]]
-    return [{"seconds": float(f"{dt * (first + k):.4g}"), "error": float(f"{errors[k]:.4g}")} for k in kept]
+    return rows
 
 
 @dataclass(frozen=True)

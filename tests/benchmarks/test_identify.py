@@ -6,13 +6,11 @@ import torch
 from benchmark import parse
 from benchmarks import identify, pysindy_regression
 from benchmarks.identify import TEXTBOOK, cramer_rao
-from benchmarks.pysindy_regression import best_threshold, integral_rows, smoothed_rows, weak_rows
+from benchmarks.pysindy_regression import best_threshold, smoothed_rows, weak_rows
 
 from dynasindy.envs.rollout_data import disturb
 from dynasindy.safe_io import read_rows
 from dynasindy.sindy.library import CONSTANT, Library, variable
-from dynasindy.sindy.named_libraries import paper_table
-from dynasindy.systems import Xi
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -37,15 +35,6 @@ def test_rows_without_noise_give_the_plant_and_those_of_other_cases_stay_in_the_
         assert float(values[case, "worst relative coefficient error"]) < goal
 
 
-def test_pysindy_is_nearly_exact_once_it_has_the_integral_form_and_scaled_rates():
-    values = [row["value"] for row in identify.pysindy_rows(1) if "10 s" in row["measure"]]
-    default, best, given, exact, scaled, scaled_exact = values
-    counts = [tuple(map(float, value.split(", ")[:2])) for value in (default, best, given, scaled)]
-    assert all(false > 20 for _, false in counts[:2])
-    assert all(true >= 18 and false <= 8 for true, false in counts[2:])
-    assert {exact, scaled_exact} <= {"0 of 1", "1 of 1"}
-
-
 @pytest.mark.slow
 def test_the_rotor_model_of_tras_predicts_episodes():
     rows = identify.tras(1)
@@ -60,16 +49,6 @@ def test_the_slope_of_a_line_is_known_as_well_as_least_squares_can():
     data = Transitions.from_trajectory(y, torch.zeros(120, 1).double(), 0.1)
     bound = cramer_rao(library, torch.tensor([[3.0], [0.0]]).double(), data, torch.tensor([0.2]).double())
     assert bound.tolist() == pytest.approx([0.2 / np.linalg.norm(time - time.mean())], rel=1e-6)
-
-
-def test_given_rows_hold_the_law_of_the_plant_a_hundred_times_closer_than_the_trapezoidal_rule():
-    from dynasindy.sindy.regression import integral_form
-
-    library, truth, data = paper_table(Xi().signature), identify.true_table(), identify.xi_recordings(4.0, 0.05, [0])[0]
-    misses = [
-        (theta @ truth - dx).norm(dim=0) for theta, dx in (integral_form(library, data), integral_rows(library, data))
-    ]
-    assert (misses[1] < 0.01 * misses[0]).all()
 
 
 def test_the_best_threshold_is_the_one_with_most_true_and_fewest_false_terms_in_the_units_of_the_data(monkeypatch):

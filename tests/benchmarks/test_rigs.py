@@ -9,7 +9,7 @@ from benchmark import parse
 from benchmarks import rigs
 from benchmarks.opponents import FIRST, Arx, HeatedBodies, Held, InverseDynamics, Log, StateSpace, choose
 from benchmarks.pysindy_regression import pysindy_of
-from benchmarks.rigs import Case, HarderRig, course, errors_ahead, errors_simulated, read_log, rms, write_surrogate
+from benchmarks.rigs import Case, HarderRig, errors_ahead, errors_simulated, read_log, rms, write_surrogate
 from benchmarks.surrogate_rig import DRY, STEP, Rig
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, dlsim, lfilter
@@ -110,8 +110,6 @@ def test_errors_are_those_of_samples_that_are_scored():
     assert not len(errors_ahead(Held(), ramp, 150, 180))
     assert errors_simulated(Held(), ramp, 0)[:2, 0].tolist() == [-1, -2]
     assert rms(np.array([3.0, np.nan, 4.0])) == pytest.approx(12.5**0.5) and rms(np.array([1.0, np.inf])) == math.inf
-    rows = course(np.array([0.5, 1.0, np.inf, 2.0]), 0.1, 3)
-    assert [(row["seconds"], row["error"]) for row in rows] == [(0.3, 0.5), (0.4, 1.0)]
 
 
 def test_a_thinned_log_keeps_samples_and_the_means_of_inputs():
@@ -154,8 +152,6 @@ def test_the_command_scores_models_of_an_axis(tmp_path, monkeypatch):
     for metric in ("test simulated, RMSE", "position 2 s ahead, RMSE", "position over 2 s, RMSE"):
         held = found["last value held", metric]
         assert found["inverse dynamics", metric] < 0.1 * held and found["ours with structure", metric] < 0.1 * held
-    courses = read_rows(tmp_path / "rigs_over_time.csv")
-    assert tuple(courses[0]) == rigs.COURSES and {row["model"] for row in courses} == set(models)
 
 
 DT, UPPER, LOWER, GAIN = 4.0, 0.02, 0.01, 0.03

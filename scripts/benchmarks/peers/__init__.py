@@ -310,7 +310,7 @@ def rig_log(rig: str, column: str, force: str, thin: int) -> Any:
         for name, suffix in (("train", ""), ("test", "_test")):
             log = rigs.read_log(folder / f"{rig}_{name}.csv", {"states": [column], "inputs": [force]})[0].thinned(thin)
             data["u" + suffix], data["y" + suffix] = log.u, log.y
-        rows, _ = rigs.score(rigs.Case.of(rig, folder, folder), "ours with structure")
+        rows = rigs.score(rigs.Case.of(rig, folder, folder), "ours with structure")
         (mine,) = [row for row in rows if row["metric"] == "test simulated, RMSE"]
         return data, row_of("ours", ours(), mine["value"], mine["unit"], mine["cpu_seconds"])
 
