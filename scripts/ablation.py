@@ -9,7 +9,7 @@ from cli import command
 @command("ablation")
 def main(cfg: Any) -> None:
     """Run one job, unless it is finished."""
-    from job import run_job
+    from saved_run import run_job
 
     folder = Path(cfg.folder)
     _, _, metrics, before = run_job(cfg, progress=False)

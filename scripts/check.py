@@ -1,7 +1,6 @@
 """Check a controller on its model before it touches metal: `python scripts/check.py run=PATH [low=[..] high=[..]]`."""
 
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +29,7 @@ def main(cfg: Any) -> None:
     settings = Settings(**_range_and_start(cfg, run), **{name: cfg[name] for name in names})
     folder = output_folder(run, "check", cfg.folder)
     step = step_for(given.model, given.controller.setup, given.step)
-    loop = ClosedLoop(given.controller, Plant(given.model, given.controller.dt, step, given.stops))
-    found = check(loop, settings)
+    found = check(ClosedLoop(given.controller, Plant(given.model, given.controller.dt, step, given.stops)), settings)
     findings = check_verdict(found)
     write_json(folder / "check.json", check_record(found, findings))
     metrics = folder.parent / "metrics.json"
@@ -57,13 +55,13 @@ def _range_and_start(cfg: Any, run: Path) -> dict[str, Any]:
             f"{absent[0]} is not given, and there is no {file} to read it from; give {absent[0]}=[...] of the targets"
         )
     with reading(file):
-        settings = read_config(file) if file.is_file() else OmegaConf.create()
+        settings: Any = OmegaConf.to_container(read_config(file)) if file.is_file() else {}
         plant, task = settings.get("plant") or {}, settings.get("task") or {}
         found: dict[str, Any] = {
             side: tuple(map(float, plant[side] if side in absent else cfg[side])) for side in ("low", "high")
         }
         for key in ("start", "bounds"):
-            states: Mapping[str, Any] = task.get(key) or plant.get(key) or {}
+            states = task.get(key) or plant.get(key) or {}
             found[key] = {n: float(end) if isinstance(end, int | float) else list(end) for n, end in states.items()}
         return found
 

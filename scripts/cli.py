@@ -119,14 +119,21 @@ def main() -> None:
     """Run the command that the first word names, with the words after it."""
     sys.argv[0] = "dynasindy"
     name, *rest = sys.argv[1:] or ["--help"]
-    if name in HELP or name == "--version":
-        import dynasindy
-
-        with pipe_guard():
-            print(overview() if name in HELP else dynasindy.__version__)
-    elif name in COMMANDS:
+    if name in COMMANDS:
         sys.argv[1:] = rest
         import_module(name).main()
+    elif name in HELP:
+        lines = "\n".join(f"  {name:<8}  {purpose(name).partition(': `')[0]}" for name in COMMANDS)
+        with pipe_guard():
+            print(
+                "Identify nonlinear systems and learn to control them, from little data.\n\n"
+                f"dynasindy COMMAND [--help] [words of the command]\n{lines}\n\n"
+                "What a command makes goes into the folder in which it is called."
+            )
+    elif name == "--version":
+        import dynasindy
+
+        print(dynasindy.__version__)
     else:
         from dynasindy.text import did_you_mean
 
@@ -160,16 +167,6 @@ def purpose(name: str) -> str:
     return words.replace(f"python scripts/{name}.py", program(name))
 
 
-def overview() -> str:
-    """Return what there is to be called."""
-    lines = "\n".join(f"  {name:<8}  {purpose(name).partition(': `')[0]}" for name in COMMANDS)
-    return (
-        "Identify nonlinear systems and learn to control them, from little data.\n\n"
-        f"dynasindy COMMAND [--help] [words of the command]\n{lines}\n\n"
-        "What a command makes goes into the folder in which it is called."
-    )
-
-
 def config_dir(words: Sequence[str]) -> str | None:
     """Return the folder of the user's own settings, if a command line names one."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
@@ -177,9 +174,9 @@ def config_dir(words: Sequence[str]) -> str | None:
     return parser.parse_known_args(words)[0].config_dir
 
 
-def group_options(group: str, words: Sequence[str] | None = None) -> dict[str, Path]:
+def group_options(group: str) -> dict[str, Path]:
     """Return the files of a group by their names, the user's own too; those with an underscore are parts of others."""
-    own = config_dir(sys.argv[1:] if words is None else words)
+    own = config_dir(sys.argv[1:])
     folders = [CONF, Path(own)] if own else [CONF]
     return {file.stem: file for folder in folders for file in sorted((folder / group).glob("[!_]*.yaml"))}
 
@@ -196,7 +193,7 @@ def help_page(name: str, words: Sequence[str]) -> str:
 
     Of its words, `group` asks for the options of one, `group=option` for the file of one.
     """
-    groups = {place.name: group_options(place.name, words) for place in sorted(CONF.iterdir()) if place.is_dir()}
+    groups = {place.name: group_options(place.name) for place in sorted(CONF.iterdir()) if place.is_dir()}
     asked = []
     for group, _, option in (word.partition("=") for word in words):
         files = {each: file for each, file in groups.get(group, {}).items() if option in ("", each)}
@@ -204,17 +201,17 @@ def help_page(name: str, words: Sequence[str]) -> str:
         asked += [f"{group}={each}\n{textwrap.indent(shown(file), '    ')}" for each, file in files.items()]
     if asked:
         return "\n\n".join(asked)
-    chosen = _defaults(CONF / f"{name}.yaml")
+    chosen, columns = _defaults(CONF / f"{name}.yaml"), min(shutil.get_terminal_size((WIDEST, 24)).columns, WIDEST)
     changing = [groups[group][chosen[group]] for group in ("experiment", "setting") if group in chosen]
     for file in changing:
         chosen |= _defaults(file)
     used = {group: option for group, option in chosen.items() if group in groups}
-    lines = [*textwrap.wrap(purpose(name), _width())]
+    lines = textwrap.wrap(purpose(name), columns)
     lines += ["", f"What it is made of; `{program(name)} GROUP[=OPTION] --help` says more:"] if used else []
     for group, option in used.items():
         others = ", ".join(other for other in groups[group] if other != option)
         text = f"{group}={option}".ljust(20) + f"  or {others}"
-        lines += textwrap.wrap(text, _width(), initial_indent="  ", subsequent_indent=" " * 27)
+        lines += textwrap.wrap(text, columns, initial_indent="  ", subsequent_indent=" " * 27)
     bases = [base for base in (CONF / f"{each}.yaml" for each in chosen) if base.is_file()]
     for file in (*bases, CONF / f"{name}.yaml", *changing):
         lines += ["", f"Settings, from {file.relative_to(CONF.parent)}:", "", _settings(file)]
@@ -246,7 +243,3 @@ def heading(file: Path) -> str:
     lines = file.read_text().splitlines()
     end = next((n for n, line in enumerate(lines) if not line.startswith("#")), len(lines))
     return " ".join(line.strip("# ") for line in lines[:end] if not line.startswith("# @package"))
-
-
-def _width() -> int:
-    return min(shutil.get_terminal_size((WIDEST, 24)).columns, WIDEST)

@@ -1,16 +1,21 @@
-"""A command as Hydra composes it: its settings are checked, and a user's mistake, or a signal, is one line."""
+"""A command as Hydra composes it: its settings are checked, and a user's mistake, or a signal, is one line.
+
+Of a sweep, mistakes are found before its first job, and what came of the jobs is said at its end.
+"""
 
 import gc
 import hashlib
 import os
 import re
+import shutil
 import sys
+import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import NoReturn
+from typing import ClassVar, NoReturn
 
 from cli import (  # isort: split
     CONF,
@@ -19,6 +24,7 @@ from cli import (  # isort: split
     handle_signals,
     pipe_guard,
     plant_settings,
+    program,
     require_writable,
     stop,
 )
@@ -26,23 +32,120 @@ from cli import (  # isort: split
 os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hydra's printer
 
 import hydra
-from errors import MISSPELT, in_words, mendable, of_user
+from errors import MENDABLE, MISSPELT, in_words, mendable, of_user
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra._internal.utils import get_args_parser
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
+from hydra.experimental.callback import Callback
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
-from sweep import Sweep
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from dynasindy.dyna import Stopped
-from dynasindy.progress import fit_stderr
-from dynasindy.safe_io import write_text
+from dynasindy.progress import LOADING, Progress, fit_stderr, report_progress, say
+from dynasindy.safe_io import LinkError, write_text
 from dynasindy.sentences import use_command_words
 
 PROGRESS = ExitStack()
 """What shows the work of the command."""
+TASK = {"system", "task", "plant", "experiment", "setting"}
+"""Groups that a task is made of; where jobs differ in them, each has a task of its own."""
+LOGGED = {"seed", "planning", "evaluation", "scenario", "threads"}
+"""Groups and settings in which jobs on a log may differ without reading it in different ways."""
+
+
+class Sweep(Callback):
+    """Check what the jobs of a sweep share, and say at the end what came of them."""
+
+    here: ClassVar[bool] = False
+    """Whether a command was started in this process; a worker of a launcher has none."""
+    running: ClassVar[str | None] = None
+    """Folder of the sweep that is under way."""
+    began: ClassVar[float] = 0.0
+    """When it began."""
+    errors: ClassVar[list[str]] = []
+    """What is told as an error when all is over, a line each."""
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
+        """Find mistakes, which cost one line and exit code 2."""
+        folder = Path(config.hydra.sweep.dir)
+        Sweep.running, Sweep.began = str(folder), time.time()
+        show()
+        with one_line(config.hydra.job.config_name):
+            if (file := folder / "multirun.yaml").is_symlink():  # Hydra would write through it
+                raise LinkError(file)
+            _check_sweep(config.copy())
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
+        """Say where the results are, and which jobs failed; an ablation has its tables and figures, too."""
+        folder, Sweep.running = Path(config.hydra.sweep.dir), None
+        reasons = sorted(str(file) for file in folder.rglob("*error.txt") if file.stat().st_mtime >= Sweep.began)
+        if reasons:
+            Sweep.errors.append(f"{len(reasons)} jobs failed; the reasons are in {', '.join(reasons)}")
+        print(f"Sweep: {folder}")
+        if any(folder.rglob("metrics.json")) and config.hydra.job.get("config_name") == "train":
+            say(f"next:\n  {program('table')} {folder}  # the table of its jobs")
+        if "level" not in config:
+            return
+        try:
+            from dynasindy.evaluation.ablation import gather
+            from dynasindy.viz.learning import draw_ablation
+
+            results, level = Path(config.results), instantiate(config.level)
+            if gather(folder, results, level).empty:
+                print(f"No run in {folder} has finished, so there are no tables and figures.")
+                return
+            draw_ablation(results, level.error, share=level.share)
+            say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
+        except Exception as error:  # Hydra would make a warning of it, and the command would end with code 0
+            if not isinstance(error, MENDABLE):
+                traceback.print_exc()
+            Sweep.errors.append(in_words(error, "ablation"))
+
+
+def jobs_of(hydra: DictConfig) -> tuple[int, list[str]]:
+    """Return how many jobs a sweep has, and the names of the settings in which they differ.
+
+    The sweeper's own settings come first, and the last word on each counts.
+    """
+    words = [f"{name}={value}" for name, value in (hydra.sweeper.get("params") or {}).items()]
+    overrides = OverridesParser.create().parse_overrides([*words, *hydra.overrides.task])
+    last = {override.get_key_element(): override for override in overrides}
+    different = [name for name, override in last.items() if override.is_sweep_override()]
+    return len(BasicSweeper.split_arguments(overrides, None)[0]), different
+
+
+def _check_sweep(config: DictConfig) -> None:
+    """Check the config of a sweep, its launcher, its log and where the results of an ablation go."""
+    from settings import check  # it imports torch
+
+    hydra = config.hydra
+    if hydra.launcher._target_.endswith(".SlurmLauncher") and shutil.which("srun") is None:
+        raise ValueError("there is no srun here; choose hydra/launcher=joblib, or submitit_local")
+    jobs, swept = jobs_of(hydra)
+    if not jobs:
+        raise ValueError("the sweep has no job, as a range in it is empty; give values, such as 'seed=range(0,5)'")
+    different = {re.split(r"[.@]", word.lstrip("+~"))[0] for word in swept}
+    with open_dict(config):
+        config.folder = ""  # each job has its own
+        del config.hydra
+    check(config)
+    if config.get("data") is not None or config.get("model") is not None:
+        if different <= LOGGED and config.get("resume") is None:
+            from logged import prepare
+
+            prepare(config)
+    elif None not in map(config.get, ("system", "task")) and config.resume is None and not different & TASK:
+        instantiate(config.task, _convert_="all")(signature=instantiate(config.system, _convert_="all").signature)
+    if "level" in config:
+        from dynasindy.evaluation.ablation import read_tables
+
+        instantiate(config.level)
+        require_writable(Path(config.results))
+        read_tables(Path(config.results))  # one that is damaged is told now, and not after hours of runs
 
 
 def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = True) -> None:
@@ -60,7 +163,7 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
             end_with_parent()
             handle_signals(stop)
         use_command_words()
-        output, swept = Path(HydraConfig.get().runtime.output_dir), HydraConfig.get().mode == RunMode.MULTIRUN
+        output, swept = _output()
         with suppress(SystemExit) if swept else nullcontext(), pipe_guard(), one_line(config_name, cfg):
             try:
                 import torch  # here, as a misspelt key does without it
@@ -88,9 +191,11 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
 
     # The jobs of a sweep run in processes of their own, which have to find the modules beside this one; joblib's
     # bookkeeper counts, line by line, what workers that were stopped no longer tidied.
-    for name, more in (("PYTHONPATH", str(Path(__file__).parent)), ("PYTHONWARNINGS", "ignore:resource_tracker")):
-        separator = os.pathsep if name == "PYTHONPATH" else ","
-        os.environ[name] = separator.join(filter(None, [more, os.environ.get(name)]))
+    for name, more, sign in (
+        ("PYTHONPATH", str(Path(__file__).parent), os.pathsep),
+        ("PYTHONWARNINGS", "ignore:resource_tracker", ","),
+    ):
+        os.environ[name] = sign.join(filter(None, [more, os.environ.get(name)]))
     gc.disable()  # it would look for garbage among what is imported, a sixth of the time that this takes
     Sweep.here = True
     use_command_words()  # for what is refused before a job begins; workers of a sweep call it in `job`
@@ -117,6 +222,11 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
         sys.exit(2)
 
 
+def _output() -> tuple[Path, bool]:
+    """Return the folder that Hydra gives this job, and whether it is one of a sweep."""
+    return Path(HydraConfig.get().runtime.output_dir), HydraConfig.get().mode == RunMode.MULTIRUN
+
+
 def _require_options() -> None:
     """Refuse options that Hydra does not have in a line, where it would print all that there are."""
 
@@ -134,19 +244,18 @@ def _start(main: Callable[[], None]) -> None:
         try:
             return main()
         except HydraException as error:
-            key = found[1] if (found := MISSPELT.search(str(error))) else ""
-            group, _, name = key.partition(".")
-            added = [f"++{word}" if word.partition("=")[0] == key else word for word in sys.argv[1:]]
-            if group != "plant" or name.partition(".")[0] not in plant_settings() or added == sys.argv[1:]:
+            misspelt = MISSPELT.search(str(error))
+            words = [word.partition("=")[0] for word in sys.argv]
+            if misspelt is None or (key := misspelt[1]) not in words or not key.startswith("plant."):
+                raise
+            if key.split(".")[1] not in plant_settings():
                 raise
             GlobalHydra.instance().clear()
-            sys.argv[1:] = added
+            sys.argv = [f"++{word}" if name == key else word for name, word in zip(words, sys.argv)]
 
 
 def show() -> None:
     """Show from here on what the command is doing; it begins with imports, which take a moment."""
-    from dynasindy.progress import LOADING, Progress, report_progress
-
     if Progress.active is None:
         PROGRESS.enter_context(Progress())
         report_progress(LOADING)
@@ -179,19 +288,18 @@ def one_line(config_name: str, cfg: DictConfig | None = None) -> Iterator[None]:
 
 
 def _leave_line(line: str) -> None:
-    """Remove the run folder if it is empty; else write the line into it. A job of a sweep always leaves its line.
+    """Write the line into the run folder, unless that is empty, and removed, or holds a finished run.
 
-    A finished run stays as it is: what is wrong is the command, not the run.
+    A job of a sweep always leaves its line; that of another command its user has read.
     """
-    folder = Path(HydraConfig.get().runtime.output_dir)
-    swept, finished = HydraConfig.get().mode == RunMode.MULTIRUN, (folder / "metrics.json").is_file()
+    folder, swept = _output()
+    finished = (folder / "metrics.json").is_file()
     if not swept:
         remove_empty(folder)
-    if not folder.is_dir() or folder.resolve() == Path.cwd() or (finished and not swept):
-        return  # who gave the command has read the line
-    file = _refusal_file(folder) if finished else folder / "error.txt"
-    file.unlink(missing_ok=True)  # it may be a link in a run folder of others
-    write_text(file, line + "\n")
+    if folder.is_dir() and folder.resolve() != Path.cwd() and (swept or not finished):
+        file = _refusal_file(folder) if finished else folder / "error.txt"
+        file.unlink(missing_ok=True)  # it may be a link in a run folder of others
+        write_text(file, line + "\n")
 
 
 def _refusal_file(folder: Path) -> Path:
@@ -235,9 +343,9 @@ def complete(words: list[str]) -> list[str]:
     """
     implied = []
     given = dict(word.split("=", 1) for word in words if "=" in word)
+    folder = given.get("resume", "null").strip("'\"")
     if given.get("model", "null") not in ("null", "") and not {"data", "system", "resume"} & set(given):
         implied.append("system=logged")
-    folder = given.get("resume", "null").strip("'\"")
     if folder not in ("null", ""):
         if not (Path(folder) / "config.yaml").is_file():
             raise FileNotFoundError(
@@ -257,15 +365,16 @@ def as_text(word: str) -> str:
     The shell takes away the quotation marks of `data.time="Time [ms]"`, and a bracket within a value is none that Hydra
     knows. What has brackets that are not closed is left as it is, to be refused.
     """
-    key, sign, value = word.partition("=")
+    key, _, value = word.partition("=")
     closed = all(value.count(a) == value.count(b) for a, b in ("[]", "()", "{}"))
-    if not sign or word.startswith("-") or not value or not closed or _parses(word):
+    if word.startswith("-") or not value or not closed or _parses(word):
         return word
     if value[0] == "[" and value[-1] == "]":
         items = [item.strip() for item in re.split(r",(?![^\[({]*[\])}])", value[1:-1])]
-        made = f"{key}=[{','.join(item if _parses(f'{key}={item}') else _quoted(item) for item in items)}]"
-    else:
-        made = word if value[0] in "[{('\"" else f"{key}={_quoted(value)}"
+        value = f"[{','.join(item if _parses(f'{key}={item}') else _quoted(item) for item in items)}]"
+    elif value[0] not in "[{('\"":
+        value = _quoted(value)
+    made = f"{key}={value}"
     return made if _parses(made) else word
 
 

@@ -21,7 +21,7 @@ from dynasindy.limits import is_memory_error, memory_wanted
 from dynasindy.text import did_you_mean
 
 PACKAGE = Path(dynasindy.__file__).parent
-OTHERS = re.compile(r"[/\\](site-packages|dist-packages|lib[/\\]python3[^/\\]*)[/\\]")
+OTHERS = re.compile(r"^<|[/\\](site-packages|dist-packages|lib[/\\]python3[^/\\]*)[/\\]")
 """Where the code of libraries lies."""
 MENDABLE = (
     *(yaml.YAMLError, ValueError, TypeError, KeyError, OSError, ModuleNotFoundError),
@@ -38,29 +38,25 @@ MISSPELT = re.compile(r"(?:Could not override|An item is already at) '([^']+)'")
 
 def mendable(error: BaseException) -> bool:
     """Tell whether the user can mend an error, and so is told in a line, without a traceback."""
-    return isinstance(error, MENDABLE) or is_memory_error(error) or bool(_changed_dtype() or of_user(error))
-
-
-def _changed_dtype() -> str:
-    """Return the number type that a part of the user's made torch's default; '' if it is as it was."""
-    torch = sys.modules.get("torch")
-    kind = torch.get_default_dtype() if hasattr(torch, "get_default_dtype") else ""
-    return "" if torch is None or kind == torch.float32 else str(kind)
+    return isinstance(error, MENDABLE) or is_memory_error(error) or bool(of_user(error))
 
 
 def of_user(error: BaseException) -> str:
-    """Return where an error was raised in code of the user's, as a plant, that the package called; '' if in none."""
+    """Return what went wrong in code of the user's, as a plant, that the package called; '' where nothing did."""
+    torch = sys.modules.get("torch")
+    if hasattr(torch, "get_default_dtype") and (kind := torch.get_default_dtype()) != torch.float32:
+        return (
+            f"a part of yours called torch.set_default_dtype({kind}), which all others use; leave it out of the plant"
+        )
     cause: BaseException | None = error
     while cause is not None:
-        frames = [frame for frame, _ in traceback.walk_tb(cause.__traceback__)]
-        files = [Path(frame.f_code.co_filename) for frame in frames]
-        inside = next((place for place, file in enumerate(files) if file.is_relative_to(PACKAGE)), len(files))
-        for frame, file in reversed(list(zip(frames, files))[inside:]):
-            library = OTHERS.search(str(file)) or str(file).startswith("<")
-            if not (library or file.is_relative_to(PACKAGE) or file.is_relative_to(SCRIPTS)):
+        frames = [(frame, Path(frame.f_code.co_filename)) for frame, _ in traceback.walk_tb(cause.__traceback__)]
+        inside = next((k for k, (_, file) in enumerate(frames) if file.is_relative_to(PACKAGE)), len(frames))
+        for frame, file in reversed(frames[inside:]):
+            if not (OTHERS.search(str(file)) or file.is_relative_to(PACKAGE) or file.is_relative_to(SCRIPTS)):
                 said = f"{type(cause).__name__}: {' '.join(str(cause).split())}".rstrip(": ")
                 place = f"{frame.f_code.co_qualname} failed in {file.name}, line {frame.f_lineno}"
-                return f"{place} ({said}); mend it there"
+                return f"{place} ({said}); mend it there; DYNASINDY_TRACEBACK=1 shows the way there"
         # What has a sentence of its own is told by that.
         cause = cause.__cause__ if isinstance(cause, RuntimeError | MemoryError | InstantiationException) else None
     return ""
@@ -73,16 +69,12 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
     """
     while isinstance(error, InstantiationException) and error.__cause__ is not None:
         error = error.__cause__
-    words = str(error).strip("'\"") if isinstance(error, KeyError) else str(error)
-    text = " ".join(words.split()).partition(" Config search path:")[0]
     if isinstance(error, BrokenPipeError):
         raise error
-    if kind := _changed_dtype():
-        return (
-            f"a part of yours called torch.set_default_dtype({kind}), which all others use; leave it out of the plant"
-        )
+    words = str(error).strip("'\"") if isinstance(error, KeyError) else str(error)
+    text = " ".join(words.split()).partition(" Config search path:")[0]
     if place := of_user(error):
-        return f"{place}; DYNASINDY_TRACEBACK=1 shows the way there"
+        return place
     if is_memory_error(error):
         wanted = memory_wanted(error)
         said = f": {wanted} more were wanted" if wanted else f": {text}" if text and type(error) is MemoryError else ""
@@ -100,8 +92,11 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
             f"'{error.override}' cannot be read; write key=value, close all brackets and quotes, and put a word with "
             "brackets, quotes, commas or blanks between quotes of the shell, such as 'plant.outputs=[angle]'"
         )
-    if missing := _missing_package(error):
-        return missing
+    engine = re.search(r"Could not find 'hydra/launcher/([a-z]+)", text)
+    module = engine[1] if engine else str(getattr(error, "name", None)).partition(".")[0]
+    if module in EXTRAS:
+        instead = ", or choose hydra/launcher=basic" * bool(engine)
+        return f"{module} is not installed; install it by pip install 'dynasindy[{EXTRAS[module]}]'{instead}"
     if isinstance(error, MissingConfigException) and error.options:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
         return unknown_name(option, (choice for choice in error.options if not choice.startswith("_")), group)
@@ -124,16 +119,6 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
     return re.sub(r"\b[a-z_]+(?:\.[a-z_]+)+\b", lambda key: _taken_from(key[0], settings) or key[0], text)
 
 
-def _missing_package(error: BaseException) -> str:
-    """Return how to install what an error misses, nothing if it misses no optional package."""
-    engine = re.search(r"Could not find 'hydra/launcher/([a-z]+)", str(error))
-    name = engine[1] if engine else str(getattr(error, "name", None)).partition(".")[0]
-    if name not in EXTRAS:
-        return ""
-    instead = ", or choose hydra/launcher=basic" * bool(engine)
-    return f"{name} is not installed; install it by pip install 'dynasindy[{EXTRAS[name]}]'{instead}"
-
-
 def _misspelt(key: str, config_name: str) -> str:
     """Return which keys stand where a misspelt one was given; '' if it exists."""
     chosen = [word for word in _words() if (CONF / word.partition("=")[0]).is_dir()]
@@ -144,8 +129,9 @@ def _misspelt(key: str, config_name: str) -> str:
     if source := _taken_from(key, whole):
         return f"'{key}' follows another key; give {source} instead"
     names = [f"{group}.{name}".lstrip(".") for group, node in nodes(whole) for name in node if str(name)[0] != "_"]
-    names += [place for place in map("plant.{}".format, plant_settings()) if "plant" in names and place not in names]
-    keys, group = sorted((name for name in names if "[" not in name), key=lambda name: name.count(".")), key
+    names += [f"plant.{name}" for name in plant_settings() if "plant" in names]
+    keys = sorted((name for name in dict.fromkeys(names) if "[" not in name), key=lambda name: name.count("."))
+    group = key
     while group not in ("", *keys):
         group = group.rpartition(".")[0]
     names = [each.rpartition(".")[2] for each in keys if each.rpartition(".")[0] == group]
@@ -171,14 +157,11 @@ def compose(config_name: str | None, words: list[str]) -> DictConfig:
 
 def _taken_from(key: str, node: object) -> str:
     """Return the key that another one takes its value from, as `sensors.channels` does from `plant.sensors`, or ''."""
-    steps = key.split(".")
-    for place, step in enumerate(steps):
-        if not isinstance(node, dict) or step not in node:
-            return ""
-        node = node[step]
-        if isinstance(node, str) and (source := re.fullmatch(r"\$\{(?:oc\.select:)?([\w.]+)(,.*)?\}", node)):
-            return ".".join([source[1], *steps[place + 1 :]])
-    return ""
+    step, _, rest = key.partition(".")
+    if not isinstance(node, dict) or step not in node:
+        return ""
+    source = re.fullmatch(r"\$\{(?:oc\.select:)?([\w.]+)(,.*)?\}", str(node[step]))
+    return f"{source[1]}.{rest}".rstrip(".") if source else _taken_from(rest, node[step])
 
 
 def unknown_name(name: str, names: Iterable[str], where: str, elsewhere: Iterable[str] = ()) -> str:

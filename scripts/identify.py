@@ -19,12 +19,7 @@ def main(cfg: Any) -> None:
     from hydra.utils import instantiate
     from next_steps import next_steps
 
-    from dynasindy.identification.identify import (
-        before_fit,
-        identify_source,
-        to_words,
-        write_identification,
-    )
+    from dynasindy.identification.identify import before_fit, identify_source, to_words, write_identification
     from dynasindy.progress import report_progress, say, width
     from dynasindy.sentences import lines
 
@@ -33,22 +28,23 @@ def main(cfg: Any) -> None:
             f"sensors={HydraConfig.get().runtime.choices.sensors} makes a simulated plant measured, and data.path is a "
             "log, which holds what its sensors gave; leave sensors out"
         )
+    build, folder = instantiate(cfg.world_model, _convert_="all"), Path(cfg.folder)
     if (system := instantiate(cfg.system, _convert_="all")) is not None and not cfg.data.get("path"):
-        # refuses functions before the plant moves
-        instantiate(cfg.world_model, _convert_="all")(signature=system.signature)
+        build(signature=system.signature)  # refuses functions before the plant moves
     report_progress("data")
     source = load_data(cfg)
-    model, folder = instantiate(cfg.world_model, _convert_="all")(signature=source.signature), Path(cfg.folder)
+    model = build(signature=source.signature)
     findings = before_fit(model, source)
     say(*lines(findings))
     found = identify_source(model, source)
-    source = found.source
-    write_identification(found, source, folder, findings)
+    write_identification(found, folder, findings)
     if cfg.formats:
-        draw(found, source, folder, list(cfg.formats))
+        from dynasindy.viz.identification import draw_identification
+
+        draw_identification(found, folder, cfg.formats)
     # Of a log that tells too little to plan on, the findings say how to log anew.
     steps = [] if found.quiet and not found.predicts else [next_steps(next_command(cfg, found))]
-    say(to_words(found, source, width()), f"written to {folder}", *steps)
+    say(to_words(found, width()), f"written to {folder}", *steps)
 
 
 def load_data(cfg: Any) -> Source:
@@ -63,21 +59,25 @@ def load_data(cfg: Any) -> Source:
     return source
 
 
+def given_targets(cfg: Any) -> dict[str, Any]:
+    """Return outputs and the ends of their targets as the config has them, None of what nobody gave."""
+    from omegaconf import OmegaConf
+
+    return {key: OmegaConf.select(cfg.plant, key) for key in ("outputs", "low", "high")}
+
+
 def next_command(cfg: Any, found: Identified) -> str:
     """Return the command that plans, with all that was given, and what comes of it."""
     from hydra.core.hydra_config import HydraConfig
     from next_steps import command_line, without
-    from omegaconf import OmegaConf
 
     from dynasindy.identification.source import closest_period, rates_of
     from dynasindy.identification.targets import targets_like
     from dynasindy.sentences import command_word
 
-    source, job = found.source, HydraConfig.get()
+    source, job, rates = found.source, HydraConfig.get(), rates_of(found.model)
     does = "plans a controller on the log" if source.logged else "excites, identifies and plans in one go"
-    keys = ("outputs", "low", "high")
-    given = {key: None if OmegaConf.is_missing(cfg.plant, key) else cfg.plant[key] for key in keys}
-    targets = targets_like(source, rates_of(found.model).values(), given, found.model, closest_period(source))
+    targets = targets_like(source, rates.values(), given_targets(cfg), found.model, closest_period(source))
     if targets:
         does += "; put in its targets what you want to hold, within which limits, in the units of the states"
     if found.forecasts is not None and not found.predicts:
@@ -89,28 +89,6 @@ def next_command(cfg: Any, found: Identified) -> str:
         plan.insert(0, f"system={system}")
     plan += [command_word(f"plant.{key}", values) for key, values in targets.items()]
     return command_line("train", plan, does)
-
-
-def draw(found: Identified, source: Source, folder: Path, formats: list[str]) -> None:
-    """Draw the training data and the open-loop prediction against the real states."""
-    import torch
-
-    from dynasindy.identification.identify import describe_restarts
-    from dynasindy.viz.identification import prediction, training_data
-    from dynasindy.viz.style import save_figures
-
-    training, validation = source.training, source.validation
-    shown, against = ("log", "the log") if source.logged else ("plant", "the plant")
-    title = (
-        f"Free-running prediction of data that the fit did not see{describe_restarts(validation)}, against {against}"
-    )
-    (t, later), names = (torch.arange(len(data)) * data.dt for data in (training, validation)), source.signature
-    real, predicted, segment = validation.x_next, found.predicted, validation.segment
-    figures = {
-        "training_data": training_data(t, training.x, training.u, names, segment=training.segment),
-        "prediction": prediction(later, real, predicted, names, title, segment, shown),
-    }
-    save_figures(figures, folder, formats)
 
 
 if __name__ == "__main__":

@@ -11,10 +11,10 @@ from typing import Any
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from hydra.utils import instantiate
-from identify import load_data
-from job import command_and_commit
+from identify import given_targets, load_data
 from next_steps import command_line, improvements, next_steps, run_steps, without
 from omegaconf import DictConfig, OmegaConf
+from saved_run import command_and_commit
 
 from dynasindy.control import save
 from dynasindy.control.files import NAME
@@ -47,21 +47,43 @@ def prepare(cfg: DictConfig) -> Prepared:
     """
     if (device := cfg.get("device", "cpu")) != "cpu":
         raise ValueError(f"device is {device}; allowed is cpu where a log or a model is planned on: leave it out")
-    planning = _planning_settings(cfg)
-    source = load_data(cfg) if cfg.get("data") is not None else None
+    logged = cfg.get("data") is not None
+    if not logged and cfg.system is not None:
+        raise ValueError(
+            "model=PATH plans without a plant, and system names one; leave system out, and give plant.outputs, "
+            "plant.low and plant.high"
+        )
+    targets = given_targets(cfg)
+    if None in targets.values():
+        like: dict[str, list[str]] = {"outputs": ["angle"], "low": ["-0.5"], "high": ["0.5"]}
+        if logged and targets["outputs"] is not None:  # where most of its samples lie
+            source = load_data(cfg)
+            for name in targets["outputs"]:
+                source.signature.state_index(str(name))  # which says what there is instead of an unknown one
+            like = targets_like(source, (), targets) or like
+        words = " ".join(command_word(f"plant.{name}", values) for name, values in like.items())
+        lacks = next(name for name, value in targets.items() if value is None)
+        raise ValueError(
+            f"plant.{lacks} is not given; say what is to be tracked, and within which targets, such as {words}"
+        )
+    build = instantiate(cfg.planning, _convert_="all")
+    if not isinstance(build, partial) or build.func is not GradientPlanning:
+        raise ValueError("without a plant a policy is planned through the model's gradient; leave planning=gradient")
+    planning = {name: value for name, value in build.keywords.items() if name != "every"}
+    source = load_data(cfg) if logged else None
     given = None if cfg.model is None else SindyModel.load(str(cfg.model))
-    names = ("task", "sensors", "world_model", "scenario")
-    parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
+    parts = {
+        name: instantiate(cfg.get(name), _convert_="all") for name in ("task", "sensors", "world_model", "scenario")
+    }
     if source is None:
         return planning, None, parts, []
-    targets = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
     parts["task"](signature=given.signature if given else source.signature)
     if given is None:  # one that is given has its own library
         parts["world_model"](signature=source.signature)
-    others = [i for i, name in enumerate(source.signature.state_names) if name not in targets]
-    findings = low_signal_findings(source.training, source.signature, others)
-    require_radians(source, targets)
-    return planning, source, parts, findings
+    ends = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
+    others = [i for i, name in enumerate(source.signature.state_names) if name not in ends]
+    require_radians(source, ends)
+    return planning, source, parts, low_signal_findings(source.training, source.signature, others)
 
 
 def plan_from_log(cfg: DictConfig) -> bool:
@@ -70,7 +92,7 @@ def plan_from_log(cfg: DictConfig) -> bool:
     folder, settings = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True)
     figures = output_folder(folder, "figures")
     swept, words = HydraConfig.get().mode == RunMode.MULTIRUN, HydraConfig.get().overrides.task
-    read = {"read": _digests(cfg)}
+    read = _digests(cfg)
     if swept and (before := _finished(folder, settings, read)) is not None:
         say(f"finished before: {folder}")
         return before
@@ -86,20 +108,19 @@ def plan_from_log(cfg: DictConfig) -> bool:
     task = instantiate(cfg.task, _convert_="all")(signature=model.signature)
     (folder / "metrics.json").unlink(missing_ok=True)  # of other settings
     write_text(folder / "config.yaml", settings)  # before the plan, which may fail
-    write_json(folder / "origin.json", command_and_commit(HydraConfig.get()) | read)
+    write_json(folder / "origin.json", {**command_and_commit(HydraConfig.get()), "read": read})
     model.save(folder / "model.json")
     if dt is None:
         dt, why = suited_period(model, task, source)
         say(*lines([why] if why else []))
     say(*lines(filter(None, [refit_shortage(model, source)])))
-    within = cfg.evaluation.get("within", WITHIN)
     saved = False
     try:
         controller = plan(model, task, source, parts["sensors"], dt, cfg.seed, **planning)
         save(controller, folder / NAME)  # before the forecast, which may fail
         saved = True
         scenario = replace(parts["scenario"], seconds=None, lengths=1.0)  # as long as the task's episodes
-        prediction = forecast(controller, model, source, scenario, cfg.seed, within)
+        prediction = forecast(controller, model, source, scenario, cfg.seed, cfg.evaluation.get("within", WITHIN))
     except (KeyboardInterrupt, Exception) as stop:
         if saved:
             say(f"Controller: {folder / NAME}, of which nothing is promised")
@@ -112,9 +133,10 @@ def plan_from_log(cfg: DictConfig) -> bool:
         raise Stopped(line, getattr(stop, "signal", 2)) from stop
     write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})
     if prediction.evaluation:
-        name, formats = controller_name("gradient"), tuple(cfg.formats)
-        draw_evaluation(prediction.evaluation, figures, name, formats, prediction.place)
-    say(log_report(model, prediction), f"Controller: {folder / 'controller.json'}", *model.signature.own_inputs())
+        draw_evaluation(
+            prediction.evaluation, figures, controller_name("gradient"), tuple(cfg.formats), prediction.place
+        )
+    say(log_report(model, prediction), f"Controller: {folder / NAME}", *model.signature.own_inputs())
     if not swept:
         steps = next_steps(*run_steps(folder, "check", "export"))
         say(steps if prediction.controlled else improvements(folder, words))
@@ -129,37 +151,10 @@ def _digests(cfg: DictConfig) -> dict[str, str]:
     return {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in found}
 
 
-def _finished(folder: Path, settings: str, read: Mapping[str, Any]) -> bool | None:
+def _finished(folder: Path, settings: str, read: Mapping[str, str]) -> bool | None:
     """Return whether a finished job of the same settings and files is controlled by its forecast, None without one."""
     with suppress(OSError, KeyError, ValueError):
         origin, metrics = (read_json(folder / f"{name}.json") for name in ("origin", "metrics"))
-        if (folder / "config.yaml").read_text() == settings and origin["read"] == read["read"]:
+        if (folder / "config.yaml").read_text() == settings and origin["read"] == read:
             return bool(metrics["prediction"]["controlled"])
     return None
-
-
-def _planning_settings(cfg: DictConfig) -> dict[str, object]:
-    """Return the settings of the planning, where the config says what is to be tracked and how to plan from a log."""
-    if cfg.model is not None and cfg.get("data") is None and cfg.system is not None:
-        raise ValueError(
-            "model=PATH plans without a plant, and system names one; leave system out, and give plant.outputs, "
-            "plant.low and plant.high"
-        )
-    names = ("outputs", "low", "high")
-    given = {name: None if OmegaConf.is_missing(cfg.plant, name) else cfg.plant[name] for name in names}
-    if None in given.values():
-        like: dict[str, list[str]] = {"outputs": ["angle"], "low": ["-0.5"], "high": ["0.5"]}
-        if cfg.get("data") is not None and given["outputs"] is not None:  # where most of its samples lie
-            source = load_data(cfg)
-            for name in given["outputs"]:
-                source.signature.state_index(str(name))  # which says what there is instead of an unknown one
-            like = targets_like(source, (), given) or like
-        words = " ".join(command_word(f"plant.{name}", values) for name, values in like.items())
-        lacks = next(name for name in names if given[name] is None)
-        raise ValueError(
-            f"plant.{lacks} is not given; say what is to be tracked, and within which targets, such as {words}"
-        )
-    build = instantiate(cfg.planning, _convert_="all")
-    if not isinstance(build, partial) or build.func is not GradientPlanning:
-        raise ValueError("without a plant a policy is planned through the model's gradient; leave planning=gradient")
-    return {name: value for name, value in build.keywords.items() if name != "every"}

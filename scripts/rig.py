@@ -40,17 +40,16 @@ def main(cfg: Any) -> None:
     targets = {name: (low, high) for name, low, high in ends}
     guard = guard.or_limits(plant.get("bounds") or {}, wiring)
     guard.require(wiring)
-    planning = dict(cfg.planner or {})
     known = plant.get("known")
     if known is None and system.known:  # of an unknown plant the logs tell which rates are missing
         known = {}
+    planning = dict(cfg.planner or {})
     knowledge = Knowledge(plant["library"], known, targets, cfg.longest_delay, planning, ranged=system.known)
     wanted = knowledge.within(cfg.targets)
     given = load(cfg.controller) if cfg.controller else None
     if given is None:
         knowledge.require_of(system.signature)
     print(guard.summary(wiring), flush=True)
-    words = HydraConfig.get().overrides.task
     again = f"the same command with folder={cfg.folder} goes on and learns from all logs in it"
     with instantiate(cfg.rig, _convert_="all")(system=system, dt=cfg.dt) as rig:
         write_text(Path(cfg.folder) / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))  # targets, for check.py
@@ -72,16 +71,13 @@ def main(cfg: Any) -> None:
         print(f"Mend what ended the flight; {again}")
         sys.exit(1)
     if given is None:
+        words = HydraConfig.get().overrides.task
         own = [word for word in words if word.partition("=")[0].partition(".")[0] in ("system", "plant")]
         log = [*own, "data=csv", f"data.path={cfg.folder}/excitation.csv"]
         more = [*without(words, "folder"), f"folder={cfg.folder}"]
-        say(
-            next_steps(
-                command_line("identify", log, "draws equations against the log"),
-                *run_steps(cfg.folder, "check", "export"),
-                command_line("rig", more, "learns from all logs in the folder and flies again"),
-            )
-        )
+        steps = [command_line("identify", log, "draws equations against the log")]
+        steps += run_steps(cfg.folder, "check", "export")
+        say(next_steps(*steps, command_line("rig", more, "learns from all logs in the folder and flies again")))
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ HYDRA = {"_target_", "_partial_", "_args_", "_convert_", "_recursive_"}
 GIVEN = {"signature", "dt", "system", "task", "n_u", "n_obs", "env", "agent", "replay", "policy", "x", "u", "x_next"}
 """Arguments that an experiment hands to what a config builds with `_partial_`."""
 SOME = Field(min_length=1)
-Positive = Annotated[float, Field(gt=0)]
+Seconds = Annotated[float, Field(gt=0, le=1e5)]
 LARGEST = 1e19
 """Squares of larger numbers, and of numbers smaller than its inverse, are no float32."""
 THREADS = range(1, 8 * (os.cpu_count() or 1) + 1)
@@ -68,9 +68,8 @@ TOP: dict[str, Any] = {
     "source": Literal["simulated", "logged"],
     "longest_delay": Annotated[float, Field(ge=0)] | None,
     **{"evaluation.every": Annotated[int, Field(ge=1)], "checkpoint.every": Annotated[int, Field(ge=0)]},
-    **{"evaluation.within": Positive, "dt": Annotated[float, Field(gt=0, le=1e5)]},
+    **{"evaluation.within": Annotated[float, Field(gt=0)], "dt": Seconds, "seconds": Seconds | None, "flights": int},
     **{"targets": Annotated[list[list[float]], SOME] | None, "planner": dict[str, Any] | None},
-    **{"flights": int, "seconds": Annotated[float, Field(gt=0, le=1e5)] | None},
 }
 """Keys of any command's config, besides those of what it builds, and those whose types import TorchRL."""
 IMPORTED = {
@@ -95,13 +94,18 @@ def check(cfg: DictConfig, file: str = "") -> None:
 
     One that was read from a `file`, a finished run's, has all parts of an experiment.
     """
-    _require_global(cfg)
+    raw: Any = OmegaConf.to_container(cfg, resolve=False)
+    if isinstance(raw.get("system"), dict) and raw["system"].keys() & {"system", "plant"}:
+        raise ValueError(
+            "system holds a group of keys that belongs beside it, as a plant's file does without its header: "
+            "let '# @package _global_' be the first line of the file that `system=` names"
+        )
     try:
         tree: Any = OmegaConf.to_container(cfg, resolve=True)
         if "train" not in tree and not file and (tree.get("data") or {}).get("path"):
             tree.pop("excitation", None)  # nothing is excited where there is a log
         if not file:  # what a run read is all that its file holds
-            _require_plant_settings(tree.get("plant"), repr(OmegaConf.to_container(cfg)))
+            _require_plant_settings(tree.get("plant"), repr(raw))
         for key, value, hint in chain(_values(tree, PLANT), _arguments(tree), _values(tree, _hints(tree, bool(file)))):
             fit = _fit(value, hint, key)
             if repr(fit) != repr(value):  # 10 equals 10.0
@@ -111,32 +115,20 @@ def check(cfg: DictConfig, file: str = "") -> None:
     except InterpolationToMissingValueError:  # a log's config names no plant yet, and the command says which there are
         return
     except InterpolationResolutionError as error:
-        taken: Any = OmegaConf.to_container(cfg, resolve=False)
         for part in str(error.full_key).split("."):
-            taken = taken[part]
-        what = f"{error.full_key} is taken from {str(taken).strip('${}')}"
+            raw = raw[part]
+        what = f"{error.full_key} is taken from {str(raw).strip('${}')}"
         raise ValueError(f"{what}, which is not given, or no group of keys; give the keys as conf/ does") from error
     except ValueError as error:
         raise ValueError(f"{file}: {error}" if file else str(error)) from error
 
 
-def _require_global(cfg: DictConfig) -> None:
-    """Refuse the file of a plant whose keys ended up below its own group."""
-    raw: Any = OmegaConf.to_container(cfg, resolve=False)
-    if isinstance(raw.get("system"), dict) and raw["system"].keys() & {"system", "plant"}:
-        raise ValueError(
-            "system holds a group of keys that belongs beside it, as a plant's file does without its header: "
-            "let '# @package _global_' be the first line of the file that `system=` names"
-        )
-
-
 def _require_plant_settings(plant: Any, text: str) -> None:
     """Refuse settings of a plant that nothing reads."""
     read = {*PLANT, *map("plant.{}".format, plant_settings()), *re.findall(r"\bplant(?:\.\w+)+", text)}
-    groups = {"plant": plant, "plant.signals": plant.get("signals")} if isinstance(plant, dict) else {}
-    for group, node in groups.items():
+    for group, node in nodes({"plant": plant}):
         allowed = {key.removeprefix(f"{group}.").partition(".")[0] for key in read if key.startswith(f"{group}.")}
-        for name in node if isinstance(node, dict) else ():
+        for name in node if group in ("plant", "plant.signals") else ():
             if name not in allowed:
                 raise ValueError(unknown_name(str(name), allowed, group))
 
@@ -163,10 +155,10 @@ def _values(tree: Any, hints: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any
     for key, hint in hints.items():
         *groups, name = key.split(".")
         node = tree
-        for place, group in enumerate(groups):
+        for place, group in enumerate(groups, 1):
             node = node.get(group, {})
             if not isinstance(node, dict):
-                where = ".".join(groups[: place + 1])
+                where = ".".join(groups[:place])
                 raise ValueError(f"{where} is {_shown(node)}; allowed is a group of keys: correct it")
         if node.get(name, "???") != "???":
             yield key, node[name], hint
@@ -183,9 +175,7 @@ def _arguments(tree: Any) -> Iterator[tuple[str, Any, Any]]:
             raise ValueError(unknown_name(str(name), hints.keys() - GIVEN, group))
         for name in sorted(required - given.keys() - (GIVEN if node.get("_partial_") else set())):
             raise ValueError(f"{group}.{name} is not given; give it, as conf/ does")
-        for name, value in given.items():
-            if value != "???":
-                yield f"{group}.{name}", value, hints.get(name, Any)
+        yield from ((f"{group}.{name}", value, hints.get(name, Any)) for name, value in given.items() if value != "???")
 
 
 @cache
@@ -239,8 +229,7 @@ def _adapter(hint: Any) -> TypeAdapter[Any]:
 def _checked(hint: Any) -> Any:
     """Return an annotation as pydantic is to read it: numbers that float32 holds, lists, groups with `_target_`."""
     kind, options = get_origin(hint) or hint, get_args(hint)
-    if kind in (int, float):
-        return Annotated[int, BeforeValidator(_number)] if kind is int else Annotated[Any, PlainValidator(_number)]
+    kind = {Mapping: dict, Sequence: list, Collection: list, Iterable: list}.get(kind, kind)
     if kind is Annotated:
         if math.inf in options:
             return Annotated[Any, PlainValidator(partial(_number, endless=True))]
@@ -249,18 +238,20 @@ def _checked(hint: Any) -> Any:
         return Annotated[(_checked(options[0]), *limits)] if limits else _checked(options[0])
     if kind in (Union, UnionType):
         return Union[tuple(map(_checked, options))]  # noqa: UP007
-    kind = {Mapping: dict, Sequence: list, Collection: list, Iterable: list}.get(kind, kind)
     if kind in (dict, list, tuple):
         return kind[tuple(each if each is Ellipsis else _checked(each) for each in options)] if options else kind
     if is_typeddict(kind):
         made = TypedDict("group", {k: NotRequired[_checked(h)] for k, h in get_type_hints(kind).items()})  # type: ignore[operator]
         made.__pydantic_config__ = ConfigDict(extra="forbid")
         return made
-    if kind is str:
-        return Annotated[str, Field(coerce_numbers_to_str=True)]
-    if kind in (bool, NoneType, Any, Literal, object):
-        return StrictBool if kind is bool else hint
-    return Annotated[Any, PlainValidator(partial(_require_builder, hint))]
+    plain: dict[Any, Any] = {
+        int: Annotated[int, BeforeValidator(_number)],
+        float: Annotated[Any, PlainValidator(_number)],
+        str: Annotated[str, Field(coerce_numbers_to_str=True)],
+        bool: StrictBool,
+        **dict.fromkeys((NoneType, Any, Literal, object), hint),
+    }
+    return plain.get(kind, Annotated[Any, PlainValidator(partial(_require_builder, hint))])
 
 
 def _number(value: Any, endless: bool = False) -> Any:

@@ -1,7 +1,8 @@
 """Write the tables of README and docs anew from the files of docs/results: `python scripts/tables.py`.
 
 A page holds `<!-- table: NAME -->` and `<!-- end -->`; what stands between them are the rows of the function of that
-name below. A number that changes in a file changes in the pages by this command, and by nothing else.
+name below. A number that changes in a file changes in the pages by this command, and by nothing else. Files of studies
+that are finished change no more, and need no function.
 """
 
 from __future__ import annotations
@@ -24,7 +25,6 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 BLOCK = re.compile(r"(<!-- table: (\w+) -->\n\n).*?(\n\n<!-- end -->)", re.S)
 AXES = ["azimuth", "pitch"]
-ROLLOUTS = ("rollouts_800", "rollouts_400", "rollouts_0")
 TABLES: dict[str, Callable[[], str]] = {}
 """The tables by name, each as Markdown."""
 Rows = Iterator[Sequence[object]]
@@ -157,18 +157,6 @@ def controllers() -> Rows:
             yield who, "10 s", pair(numbers(own, "value")[:2]), *(f"{share:.2g}" for share in times), needs
 
 
-@table("controller | `tras`, sine | `tras`, square | `xi`, step | `xi`, sine | `xi`, square")
-def baselines() -> Rows:
-    """Yield errors at the end of steps, and RMSE of waves, by controllers on the identified model."""
-    for name in ("planning by gradient", "planning by gradient, integral action", "LQI", "MPC", "PID"):
-        cells = []
-        for plant, scenario in (("tras", "sine"), ("tras", "square"), ("xi", "step"), ("xi", "sine"), ("xi", "square")):
-            case = {"controller": name, "plant": plant, "scenario": scenario, "model": "identified"}
-            metric = "steady_state_error" if scenario == "step" else "rmse"
-            cells.append(axes(rows("baselines.csv", **case, metric=metric), "mean"))
-        yield NEEDS[name][0], *cells
-
-
 @table("policy | data | error, azimuth / pitch [mrad] | RMSE, azimuth / pitch [mrad]")
 def policies() -> Rows:
     for plant in ("tras", "xi"):
@@ -286,48 +274,14 @@ def rollouts() -> Rows:
         "return at the end": "final_return",
     }
     for plant in ("xi", "tras"):
+        settings = [runs(plant, f"rollouts_{number}") for number in (800, 400, 0)]
         for words, column in measures.items():
-            cells = []
-            for own in (runs(plant, setting) for setting in ROLLOUTS):
-                mean = over_seeds([*numbers(own, column)], 3, "never").replace("never [never, never]", "never")
-                reached = f" ({(own.episodes_to_level != '').sum()}/{len(own)} seeds)"
-                cells.append(mean + reached * (column == "episodes_to_level"))
+            means = [over_seeds([*numbers(own, column)], 3, "never") for own in settings]
+            cells = [mean.replace("never [never, never]", "never") for mean in means]
+            if column == "episodes_to_level":
+                seeds = [f"({(own.episodes_to_level != '').sum()}/{len(own)} seeds)" for own in settings]
+                cells = [f"{cell} {reached}" for cell, reached in zip(cells, seeds, strict=True)]
             yield f"`{plant}`, {words}", *cells
-
-
-@table("agent without a model | `xi` | `tras`")
-def model_free() -> Rows:
-    """Yield after how many episodes each seed of an agent without a model reached the level."""
-    words = {
-        "sb3_sac_5": "SAC, five updates per step",
-        "sb3_sac": "SAC, its defaults",
-        "sb3_td3_5": "TD3, five updates per step",
-        "sb3_td3": "TD3, its defaults",
-        "rollouts_0_tuned": "our TD3, tuned for no model",
-    }
-    for setting, name in words.items():
-        cells = []
-        for found in (runs(plant, setting) for plant in ("xi", "tras")):
-            reached = numbers(found[found.episodes_to_level != ""], "episodes_to_level").sort_values()
-            ended = [", ".join(f"{episode:g}" for episode in reached)] * (len(reached) > 0)
-            if never := len(found) - len(reached):
-                ended.append(f"{never} of {len(found)} not within {found.episodes.max()}")
-            cells.append("; ".join(ended))
-        yield name, *cells
-
-
-@table("runs | rollouts | after 60 episodes | after 180 | after 600 | after 1200")
-def paper_errors() -> Rows:
-    """Yield the error of the worse axis [mrad] of each seed of the paper's experiment on `xi` along its episodes."""
-    curves = read("ablation_curves.csv").query("system == 'xi' and experiment == 'paper'")
-    short = curves.rename(columns=lambda name: name.removeprefix("evaluated_steady_state_error/"))
-    short = short.rename(columns={"alpha_a": "azimuth", "alpha_p": "pitch"})
-    for length, found in (("600", short), ("1200", read("paper_in_full.csv"))):
-        for name in ROLLOUTS:
-            own = found[found.setting == name]
-            worst = {k: 1000 * of[AXES].astype(float).max(axis=1) for k, of in own.groupby("episode")}
-            cells = [", ".join(f"{error:.0f}" for error in worst.get(k, ())) for k in ("60", "180", "600", "1200")]
-            yield f"{length} episodes", "none" if name == "rollouts_0" else name.removeprefix("rollouts_"), *cells
 
 
 if __name__ == "__main__":

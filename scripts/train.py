@@ -21,8 +21,8 @@ def main(cfg: Any) -> None:
         if not (controlled or swept) and cfg.evaluation.get("must_control"):
             sys.exit(1)
         return
-    from job import plugins_of, run_job
     from next_steps import improvements, next_steps, run_steps
+    from saved_run import plugins_of, run_job
 
     from dynasindy.control.files import NAME
     from dynasindy.dyna.run import run_report

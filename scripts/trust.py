@@ -27,7 +27,7 @@ BUILDERS = (
     *("tasks.references.target", "tasks.references.wave"),
 )
 """Where the parts of an experiment are classes, and where they are functions."""
-FOREIGN = ("Foreign", "GymnasiumEnv")
+FOREIGN = (".Foreign", ".GymnasiumEnv")
 """Parts that look an environment up by its id."""
 PLUGINS = "DYNASINDY_PLUGINS"
 """Environment variable that names packages of plug-ins, with commas or spaces between them."""
@@ -43,9 +43,8 @@ def read_config(file: Path) -> DictConfig:
                 named = isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None)
                 odd = named or getattr(event, "tag", None) or "${" in (getattr(event, "value", None) or "")
                 if odd or depth > DEEPEST:
-                    raise ValueError(
-                        f"line {event.start_mark.line + 1} is no plain key and value, as a run writes them"
-                    )
+                    line = event.start_mark.line + 1
+                    raise ValueError(f"line {line} is no plain key and value, as a run writes them")
             config = OmegaConf.create(text)
         except yaml.YAMLError as error:
             raise ValueError(str(error)) from error
@@ -63,9 +62,11 @@ def nodes(tree: Any, key: str = "") -> Iterator[tuple[str, Mapping[Any, Any]]]:
     """Yield all groups of settings, each with its key; a group comes before those in it."""
     if isinstance(tree, Mapping):
         yield key, tree
-    children = tree.items() if isinstance(tree, Mapping) else enumerate(tree) if isinstance(tree, list) else ()
-    for name, child in children:
-        yield from nodes(child, f"{key}[{name}]" if isinstance(tree, list) else f"{key}.{name}".lstrip("."))
+        for name, child in tree.items():
+            yield from nodes(child, f"{key}.{name}".lstrip("."))
+    elif isinstance(tree, list):
+        for place, child in enumerate(tree):
+            yield from nodes(child, f"{key}[{place}]")
 
 
 def packages(tree: Any) -> list[str]:
@@ -78,41 +79,39 @@ def packages(tree: Any) -> list[str]:
 def require_trusted(tree: Any, plugins: Sequence[str] = (), where: str = "config.yaml") -> None:
     """Refuse settings, as plain containers, that would build anything but a part of the package or of a plug-in."""
     for key, node in nodes(tree):
-        if words := [word for word in node if str(word).startswith("_") and word not in ("_target_", "_partial_")]:
-            raise ValueError(f"{where} has {words[0]} in '{key}', which no run writes: remove it")
-        if not isinstance(node.get("_partial_", False), bool):
-            raise ValueError(f"{where} has _partial_: {node['_partial_']!r}; allowed are true and false: correct it")
-        if "_target_" not in node:
-            continue
-        if why := _distrust(node["_target_"], plugins):
-            raise ValueError(
-                f"{where} has _target_: {repr(node['_target_'])[:100]}, which {why}; allowed are parts of dynasindy, "
-                f"and of plug-ins that you trust and name, as by plugins=[PACKAGE,OTHER] or {PLUGINS}=PACKAGE,OTHER"
-            )
-        if (module := _module(node)) and module.partition(".")[0] not in plugins:
-            raise ValueError(
-                f"{where} has env.id: {str(node['id'])[:60]!r}, which imports {module[:40]!r}; name it if you trust "
-                f"it, as by plugins=[{module[:40]}] or {PLUGINS}={module[:40]}"
-            )
-        options = node.get("options") or {} if str(node["_target_"]).rpartition(".")[2] in FOREIGN else {}
-        for value in options.values() if isinstance(options, Mapping) else [options]:
-            if not (value is None or isinstance(value, int | float)):  # it may be the name of a file to read
-                raise ValueError(
-                    f"{where} has system.options with {str(value)[:40]!r}; allowed are numbers, true and false"
-                )
+        if why := _distrust(node, plugins):
+            raise ValueError(f"{where} has {key and f'{key}.'}{why}")
+
+
+def _distrust(node: Mapping[Any, Any], plugins: Sequence[str]) -> str:
+    """Return what in a group no run writes, or what it would build that is not trusted, and what is allowed instead."""
+    if words := [word for word in node if str(word).startswith("_") and word not in ("_target_", "_partial_")]:
+        return f"{words[0]}, which no run writes: remove it"
+    if not isinstance(node.get("_partial_", False), bool):
+        return f"_partial_: {node['_partial_']!r}; allowed are true and false: correct it"
+    if "_target_" not in node:
+        return ""
+    by_name = f"plug-ins that you trust and name, as by plugins=[PACKAGE,OTHER] or {PLUGINS}=PACKAGE,OTHER"
+    if why := _no_part(node["_target_"], plugins):
+        target = repr(node["_target_"])[:100]
+        return f"_target_: {target}, which {why}; allowed are parts of dynasindy, and of {by_name}"
+    if (module := _module(node)) and module.partition(".")[0] not in plugins:
+        return f"id: {str(node['id'])[:60]!r}, which imports {module[:40]!r}; allowed are environments of {by_name}"
+    options = node.get("options") or {} if str(node["_target_"]).endswith(FOREIGN) else {}
+    for value in options.values() if isinstance(options, Mapping) else [options]:
+        if not (value is None or isinstance(value, int | float)):  # it may be the name of a file to read
+            return f"options with {str(value)[:40]!r}; allowed are numbers, true and false"
+    return ""
 
 
 def _module(node: Mapping[Any, Any]) -> str:
     """Return the module that Gymnasium imports for an environment, as `gymnasium.make("module:Name-v0")` does."""
     module, colon, _ = str(node.get("id")).partition(":")
-    return module if colon and str(node.get("_target_")).rpartition(".")[2] in FOREIGN else ""
+    return module if colon and str(node.get("_target_")).endswith(FOREIGN) else ""
 
 
-def _distrust(target: Any, plugins: Sequence[str]) -> str:
-    """Return why a target cannot be built: it is not written as a name, or is not what its name says.
-
-    Nothing outside the admitted packages is imported to find out.
-    """
+def _no_part(target: Any, plugins: Sequence[str]) -> str:
+    """Return why a target is no part: nothing outside the admitted packages is imported to find out."""
     if not isinstance(target, str) or not re.fullmatch(r"[^\W\d_]\w*(\.[^\W\d_]\w*)+", target):
         return "is no name of a part"
     package = next((name for name in ("dynasindy", *plugins) if target.startswith(f"{name}.")), None)

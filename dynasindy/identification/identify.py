@@ -267,15 +267,14 @@ def before_fit(model: SindyModel, source: Source) -> list[Finding]:
     return [*check_rates(source.training, source.signature, rates_of(model)), *source.findings]
 
 
-def to_words(found: Identified, source: Source, columns: int | None = None) -> str:
+def to_words(found: Identified, columns: int | None = None) -> str:
     """Write equations, fit, identifiability, what the data show, errors and a verdict for a reader.
 
     Args:
         found: What was identified.
-        source: The data.
         columns: Columns of the terminal that the table of errors has to fit; None lets lines be long.
     """
-    signature, forecasts = source.signature, found.forecasts
+    source, forecasts = found.source, found.forecasts
     text = [
         *found.model.equations(),
         *_errors(found.model),
@@ -283,7 +282,7 @@ def to_words(found: Identified, source: Source, columns: int | None = None) -> s
         found.report.to_text(),
         *(f"found: {each}" if each.severity == "note" else line(each) for each in found.content),
         "",
-        *(table(forecasts, signature, columns) if forecasts is not None else []),
+        *(table(forecasts, source.signature, columns) if forecasts is not None else []),
         f"one prediction of all data that the fit did not see{describe_restarts(source.validation)}, relative to the "
         "standard deviation of each state",
     ]
@@ -343,18 +342,17 @@ def describe_restarts(data: Transitions) -> str:
     return f", begun anew after {gaps} gap{'s' * (gaps > 1)}" if gaps > 0 else ""
 
 
-def write_identification(found: Identified, source: Source, folder: Path, before: Sequence[Finding] = ()) -> None:
+def write_identification(found: Identified, folder: Path, before: Sequence[Finding] = ()) -> None:
     """Write model.json, metrics.json, report.txt and the coefficients as text and CSV.
 
     Args:
         found: the model and its figures.
-        source: the data.
         folder: where; made if missing.
         before: what was found before the fit, with which the report begins.
     """
     found.model.save(folder / "model.json")
     findings = [*before, *(each for each in found.findings if each not in before)]
     write_json(folder / "metrics.json", {**found.metrics, "findings": records(findings)}, indent=1, finite=False)
-    write_text(folder / "report.txt", "\n".join([*lines(before), to_words(found, source)]) + "\n")
+    write_text(folder / "report.txt", "\n".join([*lines(before), to_words(found)]) + "\n")
     for ending, text in coefficient_tables(found.model.library, found.model.coefficients).items():
         write_text(folder / f"coefficients.{ending}", text)

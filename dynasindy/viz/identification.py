@@ -1,12 +1,14 @@
 """What the model was fitted to and how well it predicts: inputs, training data, prediction, coefficients."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
+from dynasindy.identification.identify import Identified, describe_restarts
 from dynasindy.systems import Signature
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.style import (
@@ -20,6 +22,7 @@ from dynasindy.viz.style import (
     label,
     legend,
     panels,
+    save_figures,
     styled,
     time_axis,
     time_span,
@@ -36,6 +39,24 @@ LEAST = 0.001
 GAP = "gap: samples missing or left out"
 MOST = 50
 """More gaps than these are not marked, as the marks would hide the data."""
+
+
+def draw_identification(found: Identified, folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Draw the data that a model was fitted to, and its prediction of those that the fit did not see.
+
+    Returns:
+        The files.
+    """
+    training, validation, names = found.source.training, found.source.validation, found.source.signature
+    truth = "log" if found.source.logged else "plant"
+    restarts = describe_restarts(validation)
+    title = f"Free-running prediction of data that the fit did not see{restarts}, against the {truth}"
+    time, later = (np.arange(len(data)) * data.dt for data in (training, validation))
+    figures = {
+        "training_data": training_data(time, training.x, training.u, names, segment=training.segment),
+        "prediction": prediction(later, validation.x_next, found.predicted, names, title, validation.segment, truth),
+    }
+    return save_figures(figures, folder, formats)
 
 
 @styled

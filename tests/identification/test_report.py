@@ -19,7 +19,7 @@ def test_everything_is_written(tmp_path):
     source = Simulated(validation_seconds=2.0).load(Pendulum(), EXCITATION)
     found = identify_source(SindyModel(source.signature, ["u"], Regression("bic"), Refinement("one_step")), source)
     before = [note("log.gaps", count=1)]
-    write_identification(found, source, tmp_path / "run", before)
+    write_identification(found, tmp_path / "run", before)
     names = {p.name for p in (tmp_path / "run").iterdir()}
     tables = {f"coefficients.{suffix}" for suffix in ("txt", "csv")}
     assert names == {"model.json", "metrics.json", "report.txt", *tables}

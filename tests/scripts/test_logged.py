@@ -137,13 +137,13 @@ def test_a_job_of_a_sweep_is_done_again_if_its_log_is_another_one(tmp_path, monk
     run.mkdir()
     cfg = OmegaConf.create({"model": None, "data": {"path": str(file)}})
     file.write_text("time,y,u\n")
-    read = {"read": logged._digests(cfg)}
-    assert read["read"] == {str(file): hashlib.sha256(b"time,y,u\n").hexdigest()}
+    read = logged._digests(cfg)
+    assert read == {str(file): hashlib.sha256(b"time,y,u\n").hexdigest()}
     (run / "config.yaml").write_text("settings")
-    (run / "origin.json").write_text(json.dumps({"command": "train.py"} | read))
+    (run / "origin.json").write_text(json.dumps({"command": "train.py", "read": read}))
     assert logged._finished(run, "settings", read) is None  # it has forecast nothing yet
     (run / "metrics.json").write_text('{"prediction": {"controlled": true, "score": 0.25}}')
     assert logged._finished(run, "settings", read) is True
     assert logged._finished(run, "other settings", read) is None
     file.write_text("time,y,u\n0,1,2\n")
-    assert logged._finished(run, "settings", {"read": logged._digests(cfg)}) is None
+    assert logged._finished(run, "settings", logged._digests(cfg)) is None

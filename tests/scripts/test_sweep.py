@@ -11,7 +11,7 @@ SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 COUNT = """
 import sys
 sys.path.insert(0, sys.argv[1])
-from sweep import jobs_of
+from command import jobs_of
 from omegaconf import OmegaConf
 config = OmegaConf.create(sys.argv[2])
 jobs, different = jobs_of(config)
@@ -21,7 +21,7 @@ print(jobs, *different)
 END = """
 import sys
 sys.path.insert(0, sys.argv[1])
-from sweep import Sweep
+from command import Sweep
 from omegaconf import OmegaConf
 Sweep.began = 1e6
 Sweep().on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": sys.argv[2]}, "job": {}}}))
