@@ -19,6 +19,7 @@ from typing import ClassVar, NoReturn
 
 from cli import (  # isort: split
     CONF,
+    SCRIPTS,
     end_with_parent,
     exit_at_once,
     handle_signals,
@@ -191,11 +192,9 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
 
     # The jobs of a sweep run in processes of their own, which have to find the modules beside this one; joblib's
     # bookkeeper counts, line by line, what workers that were stopped no longer tidied.
-    for name, more, sign in (
-        ("PYTHONPATH", str(Path(__file__).parent), os.pathsep),
-        ("PYTHONWARNINGS", "ignore:resource_tracker", ","),
-    ):
-        os.environ[name] = sign.join(filter(None, [more, os.environ.get(name)]))
+    path, warned = os.environ.get("PYTHONPATH"), os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(SCRIPTS), path]))
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, ["ignore:resource_tracker", warned]))
     gc.disable()  # it would look for garbage among what is imported, a sixth of the time that this takes
     Sweep.here = True
     use_command_words()  # for what is refused before a job begins; workers of a sweep call it in `job`
@@ -205,7 +204,9 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
     handle_signals(stop)
     try:
         with one_line(config_name), PROGRESS:
-            _require_options()
+            parser = get_args_parser()  # which would print all options that there are
+            parser.error = _refuse_option  # type: ignore[method-assign]
+            parser.parse_args()
             sys.argv[1:] = complete([as_text(_resolve_latest(word)) for word in sys.argv[1:]])
             _start(hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(job))
     except KeyboardInterrupt as end:
@@ -227,15 +228,8 @@ def _output() -> tuple[Path, bool]:
     return Path(HydraConfig.get().runtime.output_dir), HydraConfig.get().mode == RunMode.MULTIRUN
 
 
-def _require_options() -> None:
-    """Refuse options that Hydra does not have in a line, where it would print all that there are."""
-
-    def refuse(said: str) -> NoReturn:
-        raise ValueError(f"{said}; settings are written key=value, and --hydra-help lists the options")
-
-    parser = get_args_parser()
-    parser.error = refuse  # type: ignore[method-assign]
-    parser.parse_args()
+def _refuse_option(said: str) -> NoReturn:
+    raise ValueError(f"{said}; settings are written key=value, and --hydra-help lists the options")
 
 
 def _start(main: Callable[[], None]) -> None:
@@ -278,28 +272,20 @@ def one_line(config_name: str, cfg: DictConfig | None = None) -> Iterator[None]:
         traceback.clear_frames(error.__traceback__)  # what they hold may be the memory that is missing
         line = f"error: {in_words(error, config_name, settings)}"
         with suppress(OSError):  # the disk may be what is wrong
-            if HydraConfig.initialized():
-                _leave_line(line)
+            folder, swept = _output() if HydraConfig.initialized() else (Path.cwd(), False)
+            if not swept:
+                remove_empty(folder)
+            finished = (folder / "metrics.json").is_file()
+            # Who gave the command has read the line; a job of a sweep always leaves its own.
+            if folder.is_dir() and folder.resolve() != Path.cwd() and (swept or not finished):
+                file = _refusal_file(folder) if finished else folder / "error.txt"
+                file.unlink(missing_ok=True)  # it may be a link in a run folder of others
+                write_text(file, line + "\n")
             remove_empty(Sweep.running)
         if Sweep.running is None:
             PROGRESS.close()  # so that the line is the last one
         print(fit_stderr(line), file=sys.stderr)
         sys.exit(1 if diverged else 2)
-
-
-def _leave_line(line: str) -> None:
-    """Write the line into the run folder, unless that is empty, and removed, or holds a finished run.
-
-    A job of a sweep always leaves its line; that of another command its user has read.
-    """
-    folder, swept = _output()
-    finished = (folder / "metrics.json").is_file()
-    if not swept:
-        remove_empty(folder)
-    if folder.is_dir() and folder.resolve() != Path.cwd() and (swept or not finished):
-        file = _refusal_file(folder) if finished else folder / "error.txt"
-        file.unlink(missing_ok=True)  # it may be a link in a run folder of others
-        write_text(file, line + "\n")
 
 
 def _refusal_file(folder: Path) -> Path:
@@ -353,7 +339,10 @@ def complete(words: list[str]) -> list[str]:
             )
         implied.append(f"hydra.run.dir={_quoted(folder)}")
     elif {"-m", "--multirun"} & set(words) and "hydra.sweep.dir" not in given:
-        implied.append(f"hydra.sweep.dir={_quoted('runs/' + _sweep_name(words))}")
+        settings = [word for word in words if "=" in word and not word.startswith("hydra")]
+        digest = hashlib.blake2b(" ".join(settings).encode(), digest_size=3).hexdigest()
+        readable = re.sub(r"[^A-Za-z0-9.]+", "-", "_".join(settings).replace("=", "-")).strip("-.")
+        implied.append(f"hydra.sweep.dir='runs/{readable[:80]}_{digest}'")
     # Behind the last setting: Hydra reads none that an option, as --config-dir, parts from the others.
     end = max((place + 1 for place, word in enumerate(words) if "=" in word and word[0] != "-"), default=len(words))
     return [*words[:end], *implied, *words[end:]]
@@ -385,14 +374,6 @@ def _parses(word: str) -> bool:
     except HydraException:
         return False
     return True
-
-
-def _sweep_name(words: list[str]) -> str:
-    """Return a name for a sweep: its settings in words, as far as they fit, and a digest of them all."""
-    settings = [word for word in words if "=" in word and not word.startswith("hydra")]
-    digest = hashlib.blake2b(" ".join(settings).encode(), digest_size=3).hexdigest()
-    readable = re.sub(r"[^A-Za-z0-9.]+", "-", "_".join(settings).replace("=", "-")).strip("-.")
-    return f"{readable[:80]}_{digest}"
 
 
 def _quoted(folder: str) -> str:

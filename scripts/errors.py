@@ -38,16 +38,19 @@ MISSPELT = re.compile(r"(?:Could not override|An item is already at) '([^']+)'")
 
 def mendable(error: BaseException) -> bool:
     """Tell whether the user can mend an error, and so is told in a line, without a traceback."""
-    return isinstance(error, MENDABLE) or is_memory_error(error) or bool(of_user(error))
+    return isinstance(error, MENDABLE) or is_memory_error(error) or bool(_changed_dtype() or of_user(error))
+
+
+def _changed_dtype() -> str:
+    """Return that a part of the user's made another number type torch's default; '' if it is as it was."""
+    torch = sys.modules.get("torch")
+    if not hasattr(torch, "get_default_dtype") or (kind := torch.get_default_dtype()) == torch.float32:
+        return ""
+    return f"a part of yours called torch.set_default_dtype({kind}), which all others use; leave it out of the plant"
 
 
 def of_user(error: BaseException) -> str:
     """Return what went wrong in code of the user's, as a plant, that the package called; '' where nothing did."""
-    torch = sys.modules.get("torch")
-    if hasattr(torch, "get_default_dtype") and (kind := torch.get_default_dtype()) != torch.float32:
-        return (
-            f"a part of yours called torch.set_default_dtype({kind}), which all others use; leave it out of the plant"
-        )
     cause: BaseException | None = error
     while cause is not None:
         frames = [(frame, Path(frame.f_code.co_filename)) for frame, _ in traceback.walk_tb(cause.__traceback__)]
@@ -73,7 +76,7 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
         raise error
     words = str(error).strip("'\"") if isinstance(error, KeyError) else str(error)
     text = " ".join(words.split()).partition(" Config search path:")[0]
-    if place := of_user(error):
+    if place := _changed_dtype() or of_user(error):
         return place
     if is_memory_error(error):
         wanted = memory_wanted(error)

@@ -14,7 +14,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from settings import check
-from trust import packages, read_config, require_trusted, trusted
+from trust import packages, read_config, require_trusted
 
 from dynasindy.control import load
 from dynasindy.control.files import NAME
@@ -113,7 +113,7 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
         told = f"{program('check')} run={folder} tells what its controller does on the model"
         ended = (folder / "metrics.json").is_file() or config.get("rig") is not None
         raise ValueError(f"{folder} {kinds[0]}, so there is no simulated plant to fly; {told if ended else goes_on}")
-    require_trusted(OmegaConf.to_container(config, resolve=False), trusted(plugins), str(file))
+    require_trusted(OmegaConf.to_container(config, resolve=False), plugins, str(file))
     if absent := [part for part in ("system", "task", "env", "agent", "plant") if not config.get(part)]:
         raise ValueError(f"{file} is not of a run, it has no {absent[0]}; give a folder that train.py printed")
     check(config, str(file))

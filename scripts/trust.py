@@ -53,11 +53,6 @@ def read_config(file: Path) -> DictConfig:
     return config
 
 
-def trusted(plugins: Sequence[str] = ()) -> list[str]:
-    """Return the packages of plug-ins that the user names, to the command and in the environment."""
-    return [name for name in re.split(r"[,\s]+", ",".join([*plugins, os.environ.get(PLUGINS, "")])) if name]
-
-
 def nodes(tree: Any, key: str = "") -> Iterator[tuple[str, Mapping[Any, Any]]]:
     """Yield all groups of settings, each with its key; a group comes before those in it."""
     if isinstance(tree, Mapping):
@@ -77,9 +72,13 @@ def packages(tree: Any) -> list[str]:
 
 
 def require_trusted(tree: Any, plugins: Sequence[str] = (), where: str = "config.yaml") -> None:
-    """Refuse settings, as plain containers, that would build anything but a part of the package or of a plug-in."""
+    """Refuse settings, as plain containers, that would build anything but a part of the package or of a plug-in.
+
+    Plug-ins are packages that the user names, to the command and in the environment.
+    """
+    named = re.split(r"[,\s]+", ",".join([*plugins, os.environ.get(PLUGINS, "")]))
     for key, node in nodes(tree):
-        if why := _distrust(node, plugins):
+        if why := _distrust(node, list(filter(None, named))):
             raise ValueError(f"{where} has {key and f'{key}.'}{why}")
 
 
