@@ -12,8 +12,6 @@ COMMAND = re.compile(r"\s*(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
 """How a line begins that is meant to be copied into a shell."""
 COMMENT = "  # "
 """What a comment behind a command begins with."""
-COLUMN = re.compile(r".*\S {2,}(?=\S)")
-"""A row up to its last column, two spaces or more behind the one before."""
 
 
 class TimeUnit(NamedTuple):
@@ -82,8 +80,7 @@ def did_you_mean(name: object, names: Iterable[str]) -> str:
 def wrap(text: str, columns: int) -> str:
     """Return a text whose lines are no longer than so many columns: equations end between terms, sentences at words.
 
-    A row whose last column is too wide goes on below that column, if it begins in the left half, else a little further
-    right than the row itself, so that rows can be told apart.
+    A row of several columns goes on a little further right, so that rows can be told apart.
     A command stays one line, which the terminal wraps: of two lines, a shell would take the second for another command.
     A comment that does not fit behind it stands below it, each of its lines a comment. A row of a table in Markdown,
     which is to be copied into a page, stays one line as well.
@@ -102,10 +99,7 @@ def _wrap_line(whole: str, columns: int) -> list[str]:
         return [command, *below] if sign else [whole]
     equation = re.match(r"\s*\S+(?:'|\[k\+1\]) = ", whole)
     if equation is None:
-        row = COLUMN.match(whole)
-        if row is not None:
-            start = " " * len(row[0]) if len(row[0]) <= columns // 2 else f"{start}    "
-        return _between_words(whole, columns, start)
+        return _between_words(whole, columns, f"{start}    " if "  " in whole.strip() else start)
     return _equation(whole, columns, " " * min(len(equation[0]), columns // 3))
 
 

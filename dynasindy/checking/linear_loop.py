@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ from scipy.optimize import brentq
 from torch import Tensor
 
 from dynasindy.checking.closed_loop import ClosedLoop
-from dynasindy.progress import report_progress
+from dynasindy.progress import report_progress, track
 from dynasindy.systems.equilibria import find_equilibria
 
 NUDGE = 1e-5
@@ -34,13 +35,10 @@ SETTLED = 600
 
 Array = NDArray[np.float64]
 
-
 BOUNDLESS = 1e3
 """Inputs beyond their limits that a model may rest by."""
 RESTS = "where the loop rests"
 """What is under way, in words."""
-OFTEN = 20
-"""Control periods of the observer after which is told how many there were."""
 
 
 @dataclass(frozen=True)
@@ -139,9 +137,7 @@ def _covariance_at(loop: ClosedLoop, z: Tensor) -> Tensor:
     if loop.observer is None:
         return covariance
     watched = loop.watched(z)  # once: where nothing moves, the slopes of the observer's model stay as they are
-    for k in range(SETTLED):
-        if k % OFTEN == 0:
-            report_progress(RESTS, note=f"observer after {k} of {SETTLED} control periods")
+    for _ in range(SETTLED):
         before, covariance = covariance, watched(covariance)
         size = covariance.diagonal(dim1=-2, dim2=-1).unsqueeze(-1)
         if bool(((covariance - before).abs() < 1e-9 * size).all()):
@@ -234,12 +230,11 @@ def _run(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor, seconds: fl
     """Let loops run; return vectors, covariances, and the mean absolute error over the last seconds, `(rows, n_r)`."""
     steps = math.ceil(seconds / loop.dt)
     last = at_end(steps, loop.dt)
-    errors: list[Tensor] = []
-    for k in range(steps):
-        report_progress(RESTS, note=f"{k} of {steps} control periods of flights of the {len(r)} that are left")
+    errors: deque[Tensor] = deque(maxlen=last)
+    for _ in track(RESTS, range(steps), steps, "control periods of flights"):
         z, covariance, _ = loop.step(z, covariance, r)
-        errors = [*errors, (r - z[:, loop.parts["x"]][:, loop.task.outputs]).abs()][-last:]
-    return z, covariance, torch.stack(errors).mean(0).nan_to_num(torch.inf, torch.inf)
+        errors.append((r - z[:, loop.parts["x"]][:, loop.task.outputs]).abs())
+    return z, covariance, torch.stack([*errors]).mean(0).nan_to_num(torch.inf, torch.inf)
 
 
 def _newton(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Tensor, Tensor]:

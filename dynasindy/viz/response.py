@@ -135,11 +135,8 @@ def error_fan(
         text = f"the reward pays a bonus below {least_paid}"
         axis.axhline(bands[i], color=BLACK, linestyle=":", linewidth=1.0, label=text)
         axis.set_yscale("log")
-        # The middle half stays inside, and the wide band nearly all the time; what is less, or zero, leaves the axis
-        # and is not laid flat on a floor.
-        inner, outer = p25[:, i], p05[p05[:, i] > 0, i]
-        least = float(inner.min(where=inner > 0, initial=bands[i]))
-        least = min(least, float(np.quantile(outer, 0.1))) if len(outer) else least
+        # The wide band stays inside nearly all the time; what is less, or zero, leaves the axis.
+        least = float(np.quantile(np.append(p05[p05[:, i] > 0, i], bands[i]), 0.1))
         axis.set_ylim(bottom=0.5 * max(least, LEAST * float(bands[i])))
         axis.set_ylabel(f"|error| of {label(name, unit)}")
     legend(axes[0], "above")
