@@ -282,8 +282,7 @@ def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEn
     if scenario.reference is not None:
         if not isinstance(task, Tracking):
             raise TypeError(
-                f"task {type(task).__name__} tracks no reference, and scenario '{scenario.name}' has one; use "
-                "scenario=task, or scenario.reference=null"
+                f"task {type(task).__name__} tracks no reference; give scenario=task, or scenario.reference=null"
             )
         task = task.with_reference(scenario.reference)
     task.max_steps, n_x = round(scenario.length(env) / env.dt), env.system.signature.n_x

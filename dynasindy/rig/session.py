@@ -67,10 +67,8 @@ class Knowledge:
         taken = inspect.signature(GradientPlanning).parameters.values()
         allowed = sorted({each.name for each in taken if each.kind is each.KEYWORD_ONLY} - {"others", "seed"})
         if wrong := [name for name in self.planning if name not in allowed]:
-            raise ValueError(
-                f"'{wrong[0]}' is no setting of the planning; allowed are {', '.join(allowed)}"
-                f"{did_you_mean(wrong[0], allowed)}"
-            )
+            near = did_you_mean(wrong[0], allowed)
+            raise ValueError(f"'{wrong[0]}' is no setting of the planning; allowed are {', '.join(allowed)}{near}")
 
     def require_of(self, signature: Signature) -> None:
         """Refuse, before anything moves, what no model or no task of a plant can be made of.
@@ -179,9 +177,7 @@ class Session:
             with path.open(newline="", encoding="utf-8") as file:
                 first, *rows = list(csv.reader(file)) or [[]]
             if first != (wanted := log_headings(self.wiring)):
-                raise ValueError(
-                    f"{path} has the columns {', '.join(first)}, and this rig {', '.join(wanted)}; give another folder"
-                )
+                raise ValueError(f"{path} has columns {', '.join(first)}, not {', '.join(wanted)}; give another folder")
             found[path] = len(rows)
         return found
 
@@ -255,28 +251,20 @@ class Session:
         sensors = controller.observer and controller.observer.sensors.channels
         wanted = set(sensors) if sensors else set(theirs.state_names)
         if theirs.input_names != mine.input_names:
-            raise ValueError(
-                f"the controller sets {', '.join(theirs.input_names)}, the rig has {', '.join(mine.input_names)}"
-            )
+            raise ValueError(f"the controller sets {', '.join(theirs.input_names)}, not {', '.join(mine.input_names)}")
         if abs(controller.dt - self.wiring.dt) > 1e-9 * self.wiring.dt:
             raise ValueError(
-                f"the controller has a period of {controller.dt:g} s, the rig {self.wiring.dt:g} s; give dt="
+                f"the controller's period is {controller.dt:g} s, the rig's {self.wiring.dt:g} s; give dt="
             )
         if missing := sorted(wanted - set(self.wiring.measured)):
-            raise ValueError(
-                f"the controller reads {missing[0]}, which the rig does not measure; plan one for its sensors"
-            )
+            raise ValueError(f"the rig does not measure {missing[0]}, which the controller reads; plan one for it")
         for name in sorted(wanted):
             units = [s.state_units[s.state_index(name)] for s in (theirs, mine)]
             if units[0] != units[1]:
-                raise ValueError(
-                    f"the controller reads {name} in {units[0]}, and the rig sends it in {units[1]}; give the same "
-                    "unit to both, or plan a controller from logs of this rig"
-                )
+                raise ValueError(f"the controller reads {name} in {units[0]}, the rig sends {units[1]}; give one unit")
         if mine.input_ends and not same_input_ranges(mine, theirs):
             raise ValueError(
-                f"-1 and 1 of {', '.join(mine.input_names)} are {_ends(mine)} on the rig, and {_ends(theirs)} for the "
-                "controller; give the same ends to both"
+                f"-1 and 1 are {_ends(mine)} on the rig, {_ends(theirs)} for the controller; give the same"
             )
 
     def _tell_inputs(self, signature: Signature) -> None:
