@@ -144,10 +144,9 @@ def infer(
     time: str = CLOCK,
     inputs: Collection[str] | None = None,
     states: Collection[str] | None = None,
-    findings: list[Finding] | None = None,
     dt: float | None = None,
-) -> tuple[dict[str, Column], dict[str, Column]]:
-    """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`.
+) -> tuple[dict[str, Column], dict[str, Column], list[Finding]]:
+    """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`, and what is left out.
 
     Inputs, unless they are named, are called u, u1, u_..., or input..., and where none is, cmd or command; where none
     is either, they are the columns that move in steps while all others move in most rows. References, predictions,
@@ -159,7 +158,6 @@ def infer(
         time: heading of the time column.
         inputs: names or headings of the inputs, without their units or with them.
         states: those of the states.
-        findings: what was decided; what is left out is added.
         dt: sampling time that was given [s]; the error then does not ask for it.
 
     Raises:
@@ -250,9 +248,7 @@ def infer(
         out.append(weak("log.followed", columns=led, states=[*chosen, *led]))
     if guessed:
         out.append(weak("log.guessed_inputs", inputs=found, states=chosen))
-    if findings is not None:
-        findings += out
-    return {name: numeric[name] for name in chosen}, {name: numeric[name] for name in found}
+    return {name: numeric[name] for name in chosen}, {name: numeric[name] for name in found}, out
 
 
 def _is_label(column: Array, rarely: bool = True) -> bool:

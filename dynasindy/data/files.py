@@ -23,12 +23,8 @@ from dynasindy.data.headings import UNITS
 from dynasindy.findings import Finding, note
 from dynasindy.sentences import setting
 
-SAMPLE = 400
-"""Lines from which separator, headings and decimal sign are told."""
-WIDEST = 100_000
-"""Letters of such a line that are looked at."""
-MOST = 1000
-"""Columns that are read."""
+SAMPLE, WIDEST, MOST = 400, 100_000, 1000
+"""Lines from which the layout is told, letters of such a line that are looked at, and columns that are read."""
 BLANKS = r"\s+"
 SEPARATORS = (",", ";", "\t", "|", BLANKS)
 """What may stand between the values of a line; the first of several that do."""

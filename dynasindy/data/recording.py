@@ -37,8 +37,6 @@ WIDE = 20.0
 """Range of an actuator, as a multiple of that in its log, from which on a note asks whether it is the right one."""
 LEAST = 50
 """Fewest transitions that are worth a fit, and samples of each state."""
-ALONE = 0.8
-"""Part of the rows with an input that are without a state, or evenly apart, where it is of another stream."""
 FAULTY = 0.05
 """Part of the samples in which a sensor fails at most, and of the range by which it is off at least."""
 LONG = 10
@@ -226,30 +224,23 @@ class LogReader:
             inputs = inputs or {name: Column(name) for name in plant.input_names}
             return time, states, inputs
         if not (states and inputs and all(mapped)):
-            named = [column.name for column in inputs.values()] or None
-            inferred = self._infer(time, named, None if mapped[0] else [*states] or None, findings)
+            named = [column.name for column in inputs.values()] or None, None if mapped[0] else [*states] or None
+            inferred, refused = [], list[ValueError]()
+            for path in self.paths:
+                try:
+                    inferred.append(infer(path, time, *named, self.dt))
+                except ValueError as error:
+                    refused.append(error)
+            if not inferred:
+                raise refused[0]
+            # Of the file in which most of them move: what stands still in one may move in another.
+            *both, left_out = max(inferred, key=lambda each: len(each[0]) + len(each[1]))
+            findings += left_out
             states, inputs = (
                 given if given and is_map else found
-                for given, is_map, found in zip((states, inputs), mapped, inferred, strict=True)
+                for given, is_map, found in zip((states, inputs), mapped, both, strict=True)
             )
         return time, states, inputs
-
-    def _infer(
-        self, time: str, inputs: Sequence[str] | None, states: Sequence[str] | None, findings: list[Finding]
-    ) -> tuple[dict[str, Column], dict[str, Column]]:
-        """Return the columns of the file in which most of them move: what stands still in one may move in another."""
-        found, refused = [], []
-        for path in self.paths:
-            own: list[Finding] = []
-            try:
-                found.append((*infer(path, time, inputs, states, own, self.dt), own))
-            except ValueError as error:
-                refused.append(error)
-        if not found:
-            raise refused[0]
-        best = max(found, key=lambda each: len(each[0]) + len(each[1]))
-        findings += best[2]
-        return best[:2]
 
     def __str__(self) -> str:
         """Name the files."""
@@ -351,8 +342,8 @@ def _hold_inputs(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -
         if not 0 < len(rows) <= 0.8 * len(frame):  # few rows without one are lost
             continue
         steps = np.diff(rows)
-        evenly = len(steps) == 0 or (steps == np.median(steps)).mean() >= ALONE
-        alone = 1 - measured[rows].mean() >= ALONE
+        evenly = len(steps) == 0 or (steps == np.median(steps)).mean() >= 0.8
+        alone = measured[rows].mean() <= 0.2
         longest = np.diff(np.append(rows, len(frame))).max()
         if (evenly or alone) and longest <= LONG * len(frame) / len(rows):
             frame = frame.copy()

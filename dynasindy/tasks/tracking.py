@@ -236,10 +236,10 @@ class Tracking(Task):
         n_u = self.signature.n_u
         try:
             ends = torch.tensor(limits)
+            fit = ends.shape == (2, n_u) and bool((ends.abs() <= 1).all() and (ends[0] <= ends[1]).all())
         except (TypeError, ValueError):  # rows of unequal length, or words
-            ends = torch.empty(0)
-        fit = ends.shape == (2, n_u) and bool((ends.abs() <= 1).all())
-        if not fit or not bool((ends[0] <= ends[1]).all()):
+            fit = False
+        if not fit:
             raise ValueError(
                 f"the limits of the inputs are {str(limits)[:40]}; give {n_u} least and {n_u} largest inputs from -1 "
                 "to 1"

@@ -53,7 +53,7 @@ def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_pa
     rows = [f"{0.1 * k},{math.sin(k)},{k // 4 % 2},24.5" for k in range(80)]
     path.write_text("\n".join(["time,angle,motor,supply", *rows]))
     still = note("log.left_out", why="constant", columns={"supply": 24.5})
-    states, inputs = infer(str(path), findings=(told := []))
+    states, inputs, told = infer(str(path))
     assert (list(states), list(inputs)) == (["angle"], ["motor"]) and still in told
     assert told[-1] == weak("log.guessed_inputs", inputs=["motor"], states=["angle"])
     found = LoggedData(str(path), inputs=["motor"]).recording(None)
