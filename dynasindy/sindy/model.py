@@ -44,7 +44,7 @@ from dynasindy.sindy.reconstruction import (
     simulate_hidden_states,
 )
 from dynasindy.sindy.refinement import Refinement
-from dynasindy.sindy.regression import DEPENDENT, SAMPLES_EACH, Regression, Rows, RunningSums, integral_form, screen
+from dynasindy.sindy.regression import DEPENDENT, SAMPLES_EACH, Regression, Rows, RunningSums, integral_form
 from dynasindy.sindy.shooting import (
     CHOSEN_STRETCHES,
     COARSE,
@@ -330,9 +330,8 @@ class SindyModel(WorldModel):
         if not len(transitions):
             return
         with self._whole():
-            data, rates = self._checked(transitions), rate_states(self.library, self.constraints)
-            guess = settle_lag_states(reconstruct(data, rates), self.followers)
-            self.sums.add(self._rows(RegressionData(data, guess, rates, self.delay).delayed(self.delay)))
+            rates = rate_states(self.library, self.constraints)
+            self.sums.add(self._rows(RegressionData.of(self._checked(transitions), rates)))
 
     def _identify(self, transitions: Transitions, cut_before: bool) -> FitReport:
         """Fit to transitions alone.
@@ -565,7 +564,7 @@ class SindyModel(WorldModel):
         """Cut a library that a word names to the size of the data, and return its rows and what was done."""
         known, whole = self.constraints, self.library
         sizes = [feature.complexity for feature in whole.features]
-        kept = screen(rows, known.free, known.offset, sizes, max(1, len(rows[0]) // SAMPLES_EACH))
+        kept = _screened(rows, known.free, known.offset, sizes, max(1, len(rows[0]) // SAMPLES_EACH))
         if len(kept) == len(whole):
             return rows, []
         self._keep([self.places[k] for k in kept] if self.places else kept)  # it may have been cut before, of more data
@@ -590,6 +589,30 @@ class SindyModel(WorldModel):
         regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression
         found = regression.solve(sums, self.constraints.free, self.constraints.offset)
         self.set_coefficients(require_finite(self.library, found, "regression"))
+
+
+def _screened(rows: Rows, free: Tensor, offset: Tensor, complexity: Sequence[float], most: int) -> list[int]:
+    """Return places of `most` functions: the simplest, and those that explain most of what these leave over of rates.
+
+    Functions of one complexity, as all products of two, come in together while there is room for them. Of the others
+    those come in that are least orthogonal to what the first ones leave over of any rate of change (sure independence
+    screening; Fan and Lv 2008).
+    """
+    theta, dx = rows[0], rows[1] - rows[0] @ offset
+    rank, chosen = torch.tensor(complexity), (offset != 0).any(-1)
+    for each in rank.unique().tolist():
+        more = chosen | ((rank == each) & free.any(-1))
+        if int(more.sum()) > most:
+            break
+        chosen = more
+    basis = torch.linalg.qr(theta[:, chosen]).Q
+    columns, left = (part - basis @ (basis.mT @ part) for part in (theta, dx))
+    columns = columns / columns.norm(dim=0).maximum(1e-6 * theta.norm(dim=0)).clamp_min(1e-300)
+    explained = (columns.mT @ left).square() / left.square().sum(0).clamp_min(1e-300)
+    gain = explained.where(free & (left.norm(dim=0) > 1e-6 * dx.norm(dim=0)), 0.0).amax(-1).where(~chosen, 0.0)
+    best = gain.argsort(descending=True)[: max(0, most - int(chosen.sum()))]
+    chosen[best[gain[best] > 2 * math.log(len(rank)) / len(theta)]] = True  # more than chance gives the best of so many
+    return chosen.nonzero().flatten().tolist()
 
 
 def _step_rows(library: Library, data: Transitions) -> tuple[Library, Transitions]:

@@ -159,11 +159,6 @@ def reconstruct(data: Transitions, rates: Mapping[int, int], noisy: bool = False
     data = data.to(torch.float64)
     if not noisy and not has_gaps(data):
         return data
-    return _interpolated(data, rates, True)
-
-
-def _interpolated(data: Transitions, rates: Mapping[int, int], smooth: bool) -> Transitions:
-    """Return a recording with local cubics, or else straight lines over lost samples, zero where a state has none."""
     x, x_next, lengths = torch.zeros_like(data.x), torch.zeros_like(data.x), dict[int, int]()
     for rows in torch.arange(len(data)).split(data.segment.unique_consecutive(return_counts=True)[1].tolist()):
         samples = torch.cat([data.x[rows[:1]], data.x_next[rows]])
@@ -171,10 +166,8 @@ def _interpolated(data: Transitions, rates: Mapping[int, int], smooth: bool) -> 
             source = rates.get(i, i) if blind else i
             if (column := interpolate_gaps(samples[:, source].numpy())) is None:
                 continue
-            if smooth:
-                lengths[source] = lengths.get(source) or best_length(column)
-                column = local_cubic(column, lengths[source], data.dt, int(source != i))
-            guess = torch.from_numpy(column)
+            lengths[source] = lengths.get(source) or best_length(column)
+            guess = torch.from_numpy(local_cubic(column, lengths[source], data.dt, int(source != i)))
             x[rows, i], x_next[rows, i] = guess[:-1], guess[1:]
     return replace(data, x=x, x_next=x_next)
 
@@ -234,7 +227,7 @@ def find_rates(data: Transitions) -> dict[int, int]:
 
     Its integral by the trapezoidal rule is what the other one moves by.
     """
-    data = _interpolated(data, {}, False) if has_gaps(data) else data
+    data = reconstruct(data, {})
     rows = torch.arange(len(data) - WINDOW + 1)
     last = rows + WINDOW - 1
     rows, last = (k[data.segment[rows] == data.segment[last]] for k in (rows, last))

@@ -102,40 +102,6 @@ SAMPLES_EACH = 5
 """Samples for each function of a library that is cut to the size of the data."""
 
 
-def screen(rows: Rows, free: Tensor, offset: Tensor, complexity: Sequence[float], most: int) -> list[int]:
-    """Choose functions out of too many for the data: the simplest, and those that explain most of what these leave.
-
-    Functions of one complexity, as all products of two, come in together while there is room for them. Of the others
-    those come in that are least orthogonal to what the first ones leave over of any rate of change (sure independence
-    screening; Fan and Lv 2008).
-
-    Args:
-        rows: functions `(N, n_features)` and rates of change `(N, n_x)`.
-        free: where coefficients are sought, bool `(n_features, n_x)`.
-        offset: coefficients that are given, `(n_features, n_x)`; their functions stay.
-        complexity: of each function, the least first.
-        most: number of functions to choose.
-
-    Returns:
-        Their places, in order.
-    """
-    theta, dx = rows[0], rows[1] - rows[0] @ offset
-    rank, chosen = torch.tensor(complexity), (offset != 0).any(-1)
-    for each in rank.unique().tolist():
-        more = chosen | ((rank == each) & free.any(-1))
-        if int(more.sum()) > most:
-            break
-        chosen = more
-    basis = torch.linalg.qr(theta[:, chosen]).Q
-    columns, left = (part - basis @ (basis.mT @ part) for part in (theta, dx))
-    columns = columns / columns.norm(dim=0).maximum(1e-6 * theta.norm(dim=0)).clamp_min(1e-300)
-    explained = (columns.mT @ left).square() / left.square().sum(0).clamp_min(1e-300)
-    gain = explained.where(free & (left.norm(dim=0) > 1e-6 * dx.norm(dim=0)), 0.0).amax(-1).where(~chosen, 0.0)
-    best = gain.argsort(descending=True)[: max(0, most - int(chosen.sum()))]
-    chosen[best[gain[best] > 2 * math.log(len(rank)) / len(theta)]] = True  # more than chance gives the best of so many
-    return chosen.nonzero().flatten().tolist()
-
-
 EDGE = 0.25
 """Part of the samples that is kept back, those farthest from the middle of what was seen."""
 PER_TERM = 0.1
