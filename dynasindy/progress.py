@@ -155,8 +155,7 @@ class Progress:
             return self
         self.file = cast("TextIO", _Detachable(sys.stderr))
         if _is_terminal(sys.stderr):
-            self.display = _display(self.file, self.clock)
-            self.stack.enter_context(self.display)
+            self.display = self.stack.enter_context(_display(self.file, self.clock))
         Progress.active, os.environ[self.OWNER] = self, str(os.getpid())
         self.stack.callback(os.environ.pop, self.OWNER, None)
         self.stack.callback(setattr, Progress, "active", None)
@@ -238,12 +237,8 @@ def _display(file: TextIO, clock: Callable[[], float]) -> Display:
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.table import Column
 
-    class _Terminal(Console):
-        def show_cursor(self, show: bool = True) -> bool:
-            """Leave the cursor as it is."""
-            return False
-
-    console = _Terminal(file=file)
+    console = Console(file=file)
+    console.show_cursor = lambda show=True: False  # type: ignore[method-assign]
     return Progress(
         SpinnerColumn("line"),
         TimeElapsedColumn(),

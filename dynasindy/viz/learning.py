@@ -49,9 +49,9 @@ def average_rewards(
         title: of the figure.
     """
     figure, (axis,) = panels(1, 1, (8.5, 3.8), title)
-    size = np.abs(np.concatenate([[LINEAR], *(array(values).ravel() for values in curves.values())]))
-    size = np.maximum(size[np.isfinite(size)], LINEAR)[1:]
-    logarithmic = len(size) > 0 and bool(size.max() > WIDE * size.min())
+    size = np.abs(np.concatenate([array(values).ravel() for values in curves.values()]))
+    size = np.maximum(size[np.isfinite(size)], LINEAR)
+    logarithmic = bool(size.max(initial=0.0) > WIDE * size.min(initial=np.inf))
     if logarithmic:
         axis.set_yscale("symlog", linthresh=LINEAR)
     _draw_bands(axis, curves, episode)
@@ -142,11 +142,10 @@ def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike | None = None) ->
         words = f"; each seed where there are fewer than {FEWEST}" if min(counts) < FEWEST else ""
         axis.plot([], [], color=GREY, label=f"line: interquartile mean over seeds{words}")
         axis.plot([], [], color=GREY, alpha=0.3, linewidth=7, label="band: its 95 % bootstrap interval")
-    if curves:
-        room = 0.02 * (episodes[-1] - episodes[0]) + 1e-3
-        axis.set_xlim(episodes[0] - room, episodes[-1] + room)
-        axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-        axis.set_xlabel("real episode")
+    room = 0.02 * (episodes[-1] - episodes[0]) + 1e-3
+    axis.set_xlim(episodes[0] - room, episodes[-1] + room)
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    axis.set_xlabel("real episode")
 
 
 def _without_common_words(settings: pd.Series[str]) -> list[str]:

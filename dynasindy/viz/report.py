@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 
 from dynasindy.evaluation.ablation import CURVES, TABLE, Level, read_ablation
 from dynasindy.evaluation.statistics import interquartile_mean, markdown
-from dynasindy.safe_io import escape_markdown, file_name, read_json, reading, write_text
+from dynasindy.safe_io import escape_markdown, read_json, reading, write_text
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.world_model import open_loop
 from dynasindy.systems.transitions import Transitions
@@ -134,9 +134,6 @@ class Picture:
     figure: Figure
     caption: str
     sources: Sequence[str] = ()
-
-    def __post_init__(self) -> None:
-        file_name(self.name, "figure")
 
     def svg(self) -> str:
         """Return an SVG element on one line, without metadata, names of groups and digits below 0.1 pt."""
@@ -453,9 +450,8 @@ def _rewards(results: Results, plant: str, experiment: str) -> Made:
     title = f"Dyna-style vs. direct TD3, average rewards: plant {plant}, experiment {experiment}"
     figure = average_rewards(curves, episodes, title)
     commits = ", ".join(runs[runs["setting"].isin([*seeds])]["commit"].unique())
-    source = (
-        f"Table `{_path(results.folder / CURVES)}`, made by `{ABLATION.format(plant, experiment)}` at commit {commits}."
-    )
+    command, file = ABLATION.format(plant, experiment), _path(results.folder / CURVES)
+    source = f"Table `{file}`, made by `{command}` at commit {commits}."
     yield Picture(f"average_rewards_{plant}_{experiment}", figure, caption, [source])
 
 
