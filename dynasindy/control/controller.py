@@ -277,10 +277,10 @@ class Controller:
                 found, self._memory = action.double().numpy().copy(), memory
         except (ArithmeticError, ValueError, torch.linalg.LinAlgError) as error:  # type: ignore[attr-defined]
             self._require_finite(y, r, slope)
-            raise ValueError(
-                f"no action follows from measurement {y.tolist()} and reference {r.tolist()}, as numbers grow beyond "
-                "all limits; the controller is as before: give values of the plant's range, or call its reset"
-            ) from error
+            told = (
+                f"no action follows from measurement {y.tolist()} and reference {r.tolist()}, as numbers grow too large"
+            )
+            raise ValueError(f"{told}; the controller is as before: give values of the plant, or reset it") from error
         self._begun = True
         if not self._warned:
             self._warn_far(r)
@@ -304,17 +304,18 @@ class Controller:
         far = (r < self._near[0]) | (r > self._near[1])
         if far.any():
             self._warned, k = True, int(far.argmax())
-            warnings.warn(
-                f"the reference of {self.outputs[k]} is {r[k]:g}; the controller was planned for "
-                f"{self.targets_in_words()[k]}, and nothing is known of what it does so far from that: give a "
-                "reference in this range, or plan for a wider one",
-                stacklevel=3,
-            )
+            told = f"the reference of {self.outputs[k]} is {r[k]:g}, far beyond the plan ({self.targets_in_words()[k]})"
+            warnings.warn(f"{told}: give one in this range, or plan for a wider one", stacklevel=3)
 
     def _numbers(self, what: str, given: Values, names: Sequence[str]) -> Array:
         """Return numbers in the order of names."""
         if isinstance(given, Mapping):
-            given = self._by_name(what, given, names)
+            if unknown := [name for name in given if name not in names]:
+                allowed = self.measured if what == "measurement" else names
+                near = did_you_mean(unknown[0], list(allowed))
+                raise ValueError(f"{what} has '{unknown[0]}'; allowed are {', '.join(allowed)}{near}")
+            # NaN is a measurement that is not there; that a reference is whole is seen to later.
+            given = [float(given.get(name, 0.0 if what == "rate" else math.nan)) for name in names]
         elif isinstance(given, Tensor):
             given = given.detach().cpu()
         values: Array = np.array(given, dtype=np.float64).reshape(-1)
@@ -322,20 +323,6 @@ class Controller:
             by_name = ", or those that are measured by name" if what == "measurement" else ""
             raise ValueError(f"{what} has {values.size} numbers; give one for each of {', '.join(names)}{by_name}")
         return values
-
-    def _by_name(self, what: str, given: Mapping[str, float], names: Sequence[str]) -> list[float]:
-        """Return numbers in the order of names: NaN of measurements that are not there, zero of rates."""
-        if unknown := [name for name in given if name not in names]:
-            measured = self.measured if what == "measurement" else names
-            estimated = ", ".join(each for each in names if each not in measured)
-            raise ValueError(
-                f"{what} has '{unknown[0]}', which does not exist; allowed are {', '.join(measured)}"
-                + (f"; leave out {estimated}, which the controller estimates" if estimated else "")
-                + did_you_mean(unknown[0], list(measured))
-            )
-        if what == "reference" and (absent := [name for name in names if name not in given]):
-            raise ValueError(f"{what} lacks {absent[0]}; give where each of {', '.join(names)} is to be")
-        return [float(given.get(name, 0.0 if what == "rate" else math.nan)) for name in names]
 
     def _require_finite(self, y: Array, r: Array, slope: Array) -> None:
         """Refuse numbers that are not finite; measurements may be missing where an observer estimates the states."""

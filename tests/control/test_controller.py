@@ -248,7 +248,7 @@ def test_numbers_may_be_given_by_name():
         ),
         ([0.1, 0.0], [math.nan], "reference of theta is nan"),
         ([0.1, 0.0], [0.3, 0.1], "reference has 2"),
-        ([0.1, 0.0], {}, "reference lacks theta"),
+        ([0.1, 0.0], {}, "reference of theta"),
     ],
 )
 def test_what_is_no_number_of_the_plant_is_refused(measurement, reference, words):
