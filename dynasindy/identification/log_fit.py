@@ -174,7 +174,6 @@ class HoldOut:
         real: what was measured, `(S, T, n_x)`.
         before: samples before each start on which its states may be estimated.
         others: errors of simple models over each horizon, `(M, H, n_x)`.
-        deviation: standard deviation of each state, `(n_x,)`.
         floor: error that is as good as none, `(n_x,)`.
     """
 
@@ -186,7 +185,6 @@ class HoldOut:
     real: Tensor
     before: int
     others: Tensor
-    deviation: Tensor
     floor: Tensor
 
     @classmethod
@@ -226,7 +224,7 @@ class HoldOut:
             tells = (errors[:-1] / deviation).log().nanmean(-1).amin(0) < 0
             steps = steps[: max(2, int(tells.long().cumprod(0).sum()))]
         later, real, errors = later[:, : steps[-1]], real[:, : steps[-1]], errors[:, : len(steps)]
-        return cls(early, kept, steps, starts, later, real, before, errors, deviation, floor)
+        return cls(early, kept, steps, starts, later, real, before, errors, floor)
 
     @cached_property
     def simple(self) -> Tensor:

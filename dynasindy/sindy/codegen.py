@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache, lru_cache
 from typing import Any
 
@@ -315,35 +315,3 @@ def advance(
         states.append(x)
         x = x if update is None else update.corrected(x, k)
     return torch.stack(states, 1)
-
-
-def write_functions(library: Library, shapes: Sequence[Factor]) -> tuple[Program, list[int | None]]:
-    """Return the functions of a library in formulas, and where among the constants the numbers of some factors are.
-
-    Args:
-        library: candidate functions.
-        shapes: factors; None stands for the number of one that the library lacks.
-
-    Raises:
-        ValueError: a function has no formula.
-    """
-    writer = _FunctionWriter(library, shapes)
-    return writer.program(library.step), [writer.numbers.get(shape) for shape in shapes]
-
-
-class _FunctionWriter(Writer):
-    """Write functions; the number of each of `shapes` is a constant of its own."""
-
-    def __init__(self, library: Library, shapes: Sequence[Factor]) -> None:
-        super().__init__(library.signature)
-        self.shapes, self.numbers = set(shapes), dict[Factor, int]()
-        self.results = [self._product({f.base: f.power for f in own.factors}) or "1.0" for own in library.features]
-
-    def _scaled(self, factor: Factor) -> list[str]:
-        if factor.base not in self.shapes:
-            return super()._scaled(factor)
-        if factor.base not in self.numbers:
-            self.numbers[factor.base] = len(self.constants)
-            self._constant(factor.frequency)
-        number, args = f"k[{self.numbers[factor.base]}]", [self.variable[v] for v in factor.variables]
-        return [*args, number] if function(factor.function).parametric else [f"({a} * {number})" for a in args]

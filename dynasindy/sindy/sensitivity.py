@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from dynasindy.sindy.codegen import advance, write_functions
-from dynasindy.sindy.library import Library
+from dynasindy.sindy.codegen import Writer, advance
+from dynasindy.sindy.functions import function
+from dynasindy.sindy.library import Factor, Library
 from dynasindy.systems.interpreter import MeasurementUpdate, simulate_sensitivities
 from dynasindy.systems.steps import Rates
 
@@ -95,7 +97,9 @@ def trajectory_sensitivities(
     own, shapes = ((used.cumsum(0) - 1)[parameters.features], parameters.states), library.shapes
     library, xi = library.subset(used.nonzero().flatten().tolist()), xi[used]
     with suppress(ValueError, OSError):  # a function has no formula, or there is no compiler
-        return simulate_sensitivities(*write_functions(library, shapes), xi, own, x, u, dt, substeps, u_end, update)
+        writer = _FunctionWriter(library, shapes)
+        program, numbers = writer.program(library.step), [writer.numbers.get(shape) for shape in shapes]
+        return simulate_sensitivities(program, numbers, xi, own, x, u, dt, substeps, u_end, update)
     fitted = torch.zeros(2, 0).long() if update is None or update.free is None else update.free
     sizes = [x.shape[1], fitted.shape[1], len(shapes), len(parameters)]
 
@@ -115,6 +119,24 @@ def trajectory_sensitivities(
     none = x.new_zeros(sum(sizes))
     found = [torch.func.jvp(_ends, (none,), (unit,)) for unit in torch.eye(len(none), dtype=x.dtype)]
     return found[0][0], torch.stack([each[1] for each in found], -1)
+
+
+class _FunctionWriter(Writer):
+    """Write functions; the number of each of `shapes` is a constant of its own."""
+
+    def __init__(self, library: Library, shapes: Sequence[Factor]) -> None:
+        super().__init__(library.signature)
+        self.shapes, self.numbers = set(shapes), dict[Factor, int]()
+        self.results = [self._product({f.base: f.power for f in own.factors}) or "1.0" for own in library.features]
+
+    def _scaled(self, factor: Factor) -> list[str]:
+        if factor.base not in self.shapes:
+            return super()._scaled(factor)
+        if factor.base not in self.numbers:
+            self.numbers[factor.base] = len(self.constants)
+            self._constant(factor.frequency)
+        number, args = f"k[{self.numbers[factor.base]}]", [self.variable[v] for v in factor.variables]
+        return [*args, number] if function(factor.function).parametric else [f"({a} * {number})" for a in args]
 
 
 def slopes_by_state(library: Library, xi: Tensor, x: Tensor, u: Tensor) -> Tensor:
