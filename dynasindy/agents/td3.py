@@ -16,7 +16,7 @@ Source: Fujimoto, van Hoof, Meger, "Addressing Function Approximation Error in A
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar
@@ -85,21 +85,18 @@ class Hyperparameters:
         Raises:
             ValueError: a value lies outside its range.
         """
-        for names, kinds, allowed, words in _RANGES:
-            for name in names:
-                value = getattr(self, name)
-                if not isinstance(value, kinds) or not allowed(value):
-                    raise ValueError(f"agent.{name} is {value}; give {words}.")
-
-
-_RANGES: tuple[tuple[tuple[str, ...], tuple[type, ...], Callable[[Any], bool], str], ...] = (
-    (("actor_lr", "critic_lr"), (int, float), lambda v: v > 0, "a number > 0"),
-    (("gamma", "tau"), (int, float), lambda v: 0 < v <= 1, "a number in (0, 1]"),
-    (("policy_average",), (int, float), lambda v: 0 <= v < 1, "a number in [0, 1)"),
-    (("policy_noise", "noise_clip"), (int, float), lambda v: v >= 0, "a number >= 0"),
-    (("policy_delay", "target_update_interval"), (int,), lambda v: v > 0, "a whole number > 0"),
-    (("critics",), (int,), lambda v: v > 1, "a whole number > 1: the target takes the smallest of them"),
-)
+        whole = ("policy_delay", "target_update_interval", "critics")
+        allowed = {
+            **dict.fromkeys(("actor_lr", "critic_lr", *whole[:2]), (lambda v: v > 0, "> 0")),
+            **dict.fromkeys(("gamma", "tau"), (lambda v: 0 < v <= 1, "in (0, 1]")),
+            **dict.fromkeys(("policy_noise", "noise_clip"), (lambda v: v >= 0, ">= 0")),
+            "policy_average": (lambda v: 0 <= v < 1, "in [0, 1)"),
+            "critics": (lambda v: v > 1, "> 1: the target takes the smallest of them"),
+        }
+        for name, (fits, words) in allowed.items():
+            value, kind = getattr(self, name), int if name in whole else int | float
+            if not isinstance(value, kind) or not fits(value):
+                raise ValueError(f"agent.{name} is {value}; give a {'whole ' * (name in whole)}number {words}.")
 
 
 _QUIET = (ExplorationType.DETERMINISTIC, ExplorationType.MEAN, ExplorationType.MODE)

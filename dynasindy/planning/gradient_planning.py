@@ -385,19 +385,17 @@ class GradientPlanning(Planner):
 
     def _diverged(self, done: int, made: int, lost: int, finite: bool, lr: float) -> Diverged:
         windows = done * self.rollouts
+        mend = f"gradient or reward is not finite: check the task's reward and shorten {setting('planning.window')}"
         if not finite:
             mend = f"the actor's weights left all bounds: lower {setting('planning.lr')}, now {lr}"
         elif lost == windows:
             mend = (
-                "the model explodes: identification.txt says what each equation leaves over; name the functions that "
-                f"it lacks in {setting('plant.library')}, excite longer or with less noise, or shorten "
-                f"{setting('planning.window')}"
+                f"the model explodes: add what identification.txt says it lacks to {setting('plant.library')}, excite "
+                f"longer or with less noise, or shorten {setting('planning.window')}"
             )
-        else:
-            mend = f"gradient or reward is not finite: check the task's reward and shorten {setting('planning.window')}"
         return Diverged(
             f"planning by gradient: {made} of {done} updates had a finite gradient, {lost} of {windows} imagined "
-            f"windows diverged, and no policy has a finite imagined return, so the actor is left as it was; {mend}"
+            f"windows diverged, and no policy has a finite return, so the actor is left as it was; {mend}"
         )
 
 
