@@ -265,14 +265,12 @@ def _separator(lines: Sequence[str]) -> str:
     return near[1] if near[0] == "," and near[1:] and near[1] in ";\t" else near[0]
 
 
-def _of_columns(columns: Mapping[str, Any], path: Path) -> Raw:
-    """Return the arrays of one length, the commonest; a matrix has a column for each of its columns."""
-    flat = {
-        name: values
-        for key, whole in columns.items()
-        for name, values in _columns_of(str(key), np.asarray(whole))
-        if values.dtype.kind in "biufM" and len(values) > 1
-    }
+def _of_columns(tree: Mapping[str, Any], path: Path) -> Raw:
+    """Return the arrays of one length, the commonest, of nested structures."""
+    flat = dict[str, NDArray[Any]]()
+    for name, values in _flatten(tree):
+        if values.dtype.kind in "biufM" and len(values) > 1:
+            _put(flat, name, values)
     lengths = Counter(map(len, flat.values()))
     if not lengths:
         raise ValueError(f"{path} holds no arrays of numbers; allowed are variables of one length: save the log so")
@@ -293,32 +291,30 @@ def _as_number(values: NDArray[Any]) -> NDArray[np.float64]:
     return values.astype(np.float64)
 
 
-def _columns_of(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
-    values = values.squeeze() if values.ndim != 1 else values
-    if values.ndim == 1:
-        yield name, values
-    elif values.ndim == 2:
-        tall = values if len(values) >= values.shape[1] else values.T
-        yield from ((f"{name}[{k}]", column) for k, column in enumerate(tall.T))
-
-
-def _flatten(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the arrays of nested structures, with their names; Simulink's signals have the names of their labels."""
+def _flatten(tree: Any, name: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield the columns of nested structures, with their names; Simulink's signals have the names of their labels."""
     if isinstance(tree, Mapping):
         label = tree.get("label")
         for key, value in tree.items():
             if str(key).startswith("__") or key in ("label", "dimensions", "blockName", "title", "plotStyle"):
                 continue
             inner = key in ("signals", "values", "Data", "data")
-            own = "time" if str(key).lower() in ("time", "tout") else name if inner and name else str(key)
-            yield from _flatten(value, label if inner and label and isinstance(label, str) else own)
-    elif (isinstance(tree, list | tuple) and tree and isinstance(tree[0], Mapping)) or (
-        isinstance(tree, np.ndarray) and tree.dtype == object
-    ):
-        for k, value in enumerate(np.ravel(tree)):
+            time = key == "tout" or (name and str(key).lower() == "time")
+            own = "time" if time else name if inner and name else str(key)
+            yield from _flatten(value, label if inner and isinstance(label, str) and label else own)
+        return
+    cells = tree if isinstance(tree, list | tuple) else None  # of MATLAB, which may hold anything
+    values = np.asarray(tree if cells is None else 0.0)
+    if cells is not None or values.dtype == object:
+        for k, value in enumerate(values.ravel() if cells is None else cells):
             yield from _flatten(value, f"{name}[{k}]")
-    else:
-        yield name, np.asarray(tree)
+    elif values.dtype.names:
+        yield from _flatten({field: values[field] for field in values.dtype.names})
+    elif (values := values.squeeze() if values.ndim > 1 else values).ndim == 1:
+        yield name, values
+    elif values.ndim == 2:
+        tall = values if len(values) >= values.shape[1] else values.T
+        yield from ((f"{name}[{k}]", column) for k, column in enumerate(tall.T))
 
 
 def _put(columns: dict[str, Any], name: str, values: Any) -> None:
@@ -334,10 +330,7 @@ def _read_mat(path: Path) -> Raw:
     with path.open("rb") as file:
         if b"MATLAB 7.3" in file.read(128):
             return _read_hdf5(path)
-    columns: dict[str, Any] = {}
-    for name, values in _flatten(loadmat(str(path), simplify_cells=True)):
-        _put(columns, name, values)
-    return _of_columns(columns, path)
+    return _of_columns(loadmat(str(path), simplify_cells=True), path)
 
 
 def _read_hdf5(path: Path) -> Raw:
@@ -348,8 +341,7 @@ def _read_hdf5(path: Path) -> Raw:
         def keep(name: str, item: Any) -> None:
             if isinstance(item, h5py.Dataset) and item.dtype.kind in "biufV" and "#refs#" not in name:
                 short = _with_unit(name.rpartition("/")[2], item.attrs.get("unit", item.attrs.get("units", "")))
-                parts = {field: item[field] for field in item.dtype.names or ()}
-                columns.update(parts or {name if short in columns else short: item[()]})
+                columns[name if short in columns else short] = item[()]
 
         file.visititems(keep)
     return _of_columns(columns, path)
@@ -363,7 +355,7 @@ def _with_unit(name: str, unit: object) -> str:
 def _read_npz(path: Path) -> Raw:
     file = np.load(path, allow_pickle=False)
     if isinstance(file, np.ndarray):
-        return _of_columns({name: file[name] for name in file.dtype.names or ()} or {"data": file}, path)
+        return _of_columns({"data": file}, path)
     with file:
         return _of_columns(dict(file), path)
 
