@@ -60,6 +60,41 @@ def test_a_fit_that_fails_leaves_the_model_as_it_was(method):
     assert torch.equal(model.covariance.matrix, errors)
 
 
+def pendulum(each):
+    """A pendulum that takes so many steps of symplectic Euler in each of 300 samples of 20 ms."""
+    u = np.repeat(np.random.default_rng(1).uniform(-1, 1, (30, 1)), 10, axis=0)
+    h, x = 0.02 / each, [(2.0, 0.0)]
+    for push in u[:, 0]:
+        angle, speed = x[-1]
+        for _ in range(each):
+            speed += h * (20 * np.sin(angle) - 0.4 * speed + 4 * push)
+            angle += h * speed
+        x.append((angle, speed))
+    return Transitions.from_trajectory(torch.tensor(x, dtype=torch.float64), torch.tensor(u), 0.02)
+
+
+@pytest.mark.parametrize("each", [1, 100])
+def test_a_plant_that_moves_in_steps_gets_difference_equations_by_itself(each):
+    """What is known of rates, that the angle moves by the speed as it is, holds of the pendulum in time alone."""
+    signature = Signature(("a", "w"), ("rad", "rad/s"), ("u",), (3.0, 8.0))
+    made = {"library": ["a", "w", "sin(a)", "u"], "known": {"a": "w"}, "time": "auto"}
+    made["regression"] = Regression("bic", tolerance=1e-4)
+    model, data = SindyModel(signature, **made), pendulum(each)
+    report = model.fit(data)
+    assert [finding.code for finding in report.findings] == (["fit.steps"] if each == 1 else [])
+    a, w = model.equations(3 if each == 1 else 2)
+    if each == 1:
+        assert model.step == 0.02 and w == "w[k+1] = 0.992 w + 0.4 sin(a) + 0.08 u"
+    else:
+        assert model.step is None and (a, w) == ("a' = w", "w' = -0.4 w + 20 sin(a) + 4 u")
+    assert float((model.predict(data.x, data.u, 0.02, 4) - data.x_next).abs().max()) < 2e-3
+    # Once it has chosen it stays with that, also in a copy that goes on from its state.
+    again = SindyModel(signature, **made)
+    again.load_state_dict(model.state_dict())
+    other = again.fit(pendulum(100))
+    assert (again.step is None) == (model.step is None) and "fit.steps" not in {each.code for each in other.findings}
+
+
 def flown(controller, target, seen=lambda a, b: [a, b]):
     """What the map does under a controller from rest, the last of forty steps."""
     a = b = 0.0

@@ -14,6 +14,7 @@ A difference equation has the functions where its steps begin, and its changes o
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -75,6 +76,9 @@ LARGEST_SYSTEM = 200
 """Number of states beyond which a model is taken for damaged."""
 MANY = 8
 """Trajectories that are worth instructions for several rows at once."""
+STEPS, EXACT = 0.5, 1e-6
+"""Share of a differential equation's error on data kept back below which a difference equation is taken instead, and an
+error [ranges a second] that no plan can feel."""
 LARGEST_FACTOR = 1000
 """Numbers of a coefficient's correlations beyond which it is as well."""
 
@@ -95,7 +99,8 @@ class SindyModel(WorldModel):
             state that no sensor sees in any form.
         machine_code: whether states are moved by machine code, where a C compiler is found.
         time: `continuous` identifies a differential equation, `discrete` a difference equation, whose step is the
-            sampling time of the data.
+            sampling time of the data, `auto` the one that predicts the end of the first data better. What is `known` of
+            rates then holds in a differential equation alone.
 
     `covariance` tells after a fit how well the coefficients are known; None where nothing does. `findings` holds what
     `dynasindy.identify` found, `linear_inputs` the names of the inputs that moved in straight lines between the samples
@@ -119,14 +124,14 @@ class SindyModel(WorldModel):
         fixed: Mapping[str, Mapping[str, float]] | None = None,
         initial: Mapping[str, Mapping[str, float]] | None = None,
         machine_code: bool = True,
-        time: Literal["continuous", "discrete"] | None = None,
+        time: Literal["continuous", "discrete", "auto"] | None = None,
     ) -> None:
         super().__init__(signature)
         self.findings: tuple[Finding, ...] = ()
         self.linear_inputs: tuple[str, ...] = ()
-        if time not in (None, "continuous", "discrete"):
+        if time not in (None, "continuous", "discrete", "auto"):
             word = setting("world_model.time")
-            raise ValueError(f"{word} is {time!r}; allowed are continuous and discrete: choose one")
+            raise ValueError(f"{word} is {time!r}; allowed are continuous, discrete and auto: choose one")
         self.machine_code, self.library = machine_code, build_library(library, signature)
         if time is not None and (time == "discrete") != (self.library.step is not None):
             self.library = self.library.with_step(UNTOLD if time == "discrete" else None)
@@ -137,7 +142,11 @@ class SindyModel(WorldModel):
         self._fastest: float | None = None
         self.regression, self.refinement = regression or Regression(), refinement
         self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
-        self._uncut = self.library, self.constraints
+        self._uncut, self._open = (self.library, self.constraints), None
+        if (
+            time == "auto"
+        ):  # the rate of a place is that of a moment: over a step it moves by what its rate becomes, too
+            self._open = Constraints.build(self.library, {}, allowed or {}, fixed or {})
         guess = Constraints.build(self.library, {}, {}, initial or {}, "plant.initial").offset
         self.initial = None if initial is None else guess
         self.initial_delay: float | None = None  # of the inputs in that guess [s]; None: not known
@@ -258,6 +267,8 @@ class SindyModel(WorldModel):
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *others: Any) -> None:
         """Cut the library as it was when the state was kept, or not at all, before coefficients are read."""
         state = state_dict.get(f"{prefix}_extra_state")
+        if state is not None and state.get("step") is not None and self.step is None:
+            self._take_steps()
         if state is not None and (places := state.get("places", [])) != self.places:  # not in older states
             self._keep(places)
         super()._load_from_state_dict(state_dict, prefix, *others)
@@ -284,10 +295,40 @@ class SindyModel(WorldModel):
             Diverged: a coefficient is not finite; the model stays as it was.
         """
         with self._whole():
+            chosen = self._choose_time(transitions) if self._open is not None and not self.sums.count else ()
             if again := self._cuts and 0 < len(self.places) == len(self.library):
                 self._keep([])  # other data may need other functions
             self.library = self.library.with_step(None if self.step is None else UNTOLD)
-            return self._identify(transitions, again)
+            report = self._identify(transitions, again)
+            return replace(report, findings=(*chosen, *report.findings))
+
+    def _choose_time(self, transitions: Transitions) -> tuple[Finding, ...]:
+        """Take difference equations where they predict the last quarter of the data clearly better."""
+        whole = len(transitions) // transitions.substeps
+        kept = torch.arange(len(transitions)) >= (3 * whole // 4) * transitions.substeps
+        errors = list[float]()
+        for discrete in (False, True):
+            trial = copy.deepcopy(self)
+            if discrete:
+                trial._take_steps()
+            trial._open, trial.refinement = None, None
+            try:
+                trial.fit(transitions.select(~kept))
+                data = trial._checked(transitions.select(kept))
+                missed = trial.predict(data.x, data.u, data.dt, trial.substeps(data.dt)) - data.x_next
+                errors.append(float((missed / torch.tensor(self.signature.x_scale)).square().mean().sqrt() / data.dt))
+            except (ValueError, Diverged):
+                errors.append(math.inf)
+        if not max(errors[1], EXACT) < STEPS * errors[0]:
+            return ()
+        self._take_steps()
+        return (note("fit.steps", error=errors[1], continuous=errors[0]),)
+
+    def _take_steps(self) -> None:
+        """Become a difference equation, whose rates nothing is known of."""
+        library = self._uncut[0].with_step(UNTOLD)
+        self._uncut = library, self._open or self._uncut[1]
+        self._keep([])
 
     def update(self, transitions: Transitions) -> FitReport:
         """Identify an `additive` model anew from all earlier data and new transitions, at the cost of the new ones.
