@@ -282,6 +282,7 @@ def test_a_column_is_named_with_its_unit_or_without(tmp_path, named):
     for states in ({"heat": {"name": named, "unit": "degC"}}, {"heat": named}):
         log = LogReader(str(path), states, {"u": "u"}, "t").recording()
         assert log.transitions.x[:, 0].tolist() == list(range(20, 79))
+        assert log.signature.state_units == ("degC",)
 
 
 def lacking(n: int, *rows: slice | int) -> np.ndarray:
