@@ -1,7 +1,7 @@
 """From a log to a controller: what `train.py data=csv` and `train.py model=PATH` do, without a plant."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -35,15 +35,12 @@ from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.response import draw_evaluation
 from dynasindy.workbench import damped, forecast, plan, refit_shortage
 
-Prepared = tuple[Mapping[str, object], Source | None, dict[str, Any], Sequence[Finding]]
-"""Settings of the planning, the log, what a plan is made of by group, and what was found."""
 
-
-def prepare(cfg: DictConfig) -> Prepared:
+def prepare(cfg: DictConfig) -> tuple[dict[str, Any], Source | None, dict[str, Any], list[Finding]]:
     """Read the log of a config and build the parts of a plan; what cannot be is refused before the fit.
 
-    Args:
-        cfg: The settings.
+    Returns:
+        Settings of the planning, the log, what a plan is made of by group, and what was found.
     """
     if (device := cfg.get("device", "cpu")) != "cpu":
         raise ValueError(f"device is {device}; allowed is cpu where a log or a model is planned on: leave it out")

@@ -14,7 +14,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from settings import check
-from trust import packages, read_config, require_trusted
+from trust import plugins_of, read_config, require_trusted
 
 from dynasindy.control import load
 from dynasindy.control.files import NAME
@@ -78,12 +78,6 @@ def _resumed(cfg: DictConfig, job: DictConfig) -> DictConfig:
         )
     given = {name: cfg[name] for name in own if name != "plugins"}
     return DictConfig({**saved, **given, "folder": str(folder.absolute())})
-
-
-def plugins_of(cfg: DictConfig) -> tuple[str, ...]:
-    """Return the word of a command line that names the packages of the user's own parts; none where there are none."""
-    own = packages(OmegaConf.to_container(cfg, resolve=True))
-    return (f"plugins=[{','.join(own)}]",) if own else ()
 
 
 def command_and_commit(job: DictConfig) -> dict[str, str]:

@@ -22,7 +22,8 @@ def main(cfg: Any) -> None:
             sys.exit(1)
         return
     from next_steps import improvements, next_steps, run_steps
-    from saved_run import plugins_of, run_job
+    from saved_run import run_job
+    from trust import plugins_of
 
     from dynasindy.control.files import NAME
     from dynasindy.dyna.run import run_report

@@ -64,11 +64,12 @@ def nodes(tree: Any, key: str = "") -> Iterator[tuple[str, Mapping[Any, Any]]]:
             yield from nodes(child, f"{key}[{place}]")
 
 
-def packages(tree: Any) -> list[str]:
-    """Return the packages beside dynasindy of which settings name parts: to be trusted to read these again."""
-    built = [node for _, node in nodes(tree) if "_target_" in node]
+def plugins_of(cfg: DictConfig) -> tuple[str, ...]:
+    """Return the word of a command line that names the packages of the user's own parts; none where there are none."""
+    built = [node for _, node in nodes(OmegaConf.to_container(cfg, resolve=True)) if "_target_" in node]
     named = [name for node in built for name in (str(node["_target_"]), _module(node))]
-    return sorted({name.partition(".")[0] for name in named} - {"dynasindy", ""})
+    own = sorted({name.partition(".")[0] for name in named} - {"dynasindy", ""})
+    return (f"plugins=[{','.join(own)}]",) if own else ()
 
 
 def require_trusted(tree: Any, plugins: Sequence[str] = (), where: str = "config.yaml") -> None:
