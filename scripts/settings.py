@@ -171,7 +171,7 @@ def _arguments(tree: Any) -> Iterator[tuple[str, Any, Any]]:
             continue
         hints, required, free = parameters(_builder(node, group))
         given = {name: value for name, value in node.items() if name not in HYDRA}
-        for name in () if free else given.keys() - hints.keys():
+        for name in () if free else [name for name in given if name not in hints]:  # the first, in every process
             raise ValueError(unknown_name(str(name), hints.keys() - GIVEN, group))
         for name in sorted(required - given.keys() - (GIVEN if node.get("_partial_") else set())):
             raise ValueError(f"{group}.{name} is not given; give it, as conf/ does")
