@@ -104,7 +104,7 @@ PASTS, HIDDEN_STATES = (5, 10, 20), 5
 """Past samples that tell states which no sensor sees, and how many of these are tried at most."""
 NAMELESS = 10
 """Coefficients that it costs to have states which mean nothing to a reader."""
-ALIKE = 1.1
+ALIKE = 1.2
 """Factor up to which errors at one horizon are as good as others."""
 FAILURES = ArithmeticError, ValueError, RuntimeError
 """What a fit raises where numbers run away, or where there are too few samples."""
