@@ -32,13 +32,12 @@ from dynasindy.identification.forecast_errors import (
 )
 from dynasindy.identification.recording_diagnostics import resolutions
 from dynasindy.identification.source import Source, rate_name, rates_of
-from dynasindy.identification.subspace import subspace_models
 from dynasindy.identification.verdict import equation_findings, idle_states
 from dynasindy.limits import raise_if_memory
 from dynasindy.progress import Event, TimeIsUp, listening, report_progress, reporting_as
 from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.fit_report import FitReport
-from dynasindy.sindy.lag_states import hidden_states, lag_state_candidates, lag_state_finding, with_lag_state
+from dynasindy.sindy.lag_states import lag_state_candidates, lag_state_finding, with_lag_state
 from dynasindy.sindy.library import Constraints, Factor, Feature, Library, variable
 from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
@@ -100,12 +99,6 @@ RESOLVED = 1.2
 """Times what a sensor resolves up to which an error leaves nothing to be found."""
 LAG_STATES = 3
 """States that follow a signal that are tried, those first that regressions prefer."""
-PASTS, HIDDEN_STATES = (5, 10, 20), 5
-"""Past samples that tell states which no sensor sees, and how many of these are tried at most."""
-NAMELESS = 10
-"""Coefficients that it costs to have states which mean nothing to a reader."""
-ALIKE = 1.2
-"""Factor up to which errors at one horizon are as good as others."""
 FAILURES = ArithmeticError, ValueError, RuntimeError
 """What a fit raises where numbers run away, or where there are too few samples."""
 
@@ -288,7 +281,6 @@ class Candidate:
         score: what is to be least.
         what: what it is, in words.
         structure: model with all functions, of which this one has the linear ones; None of others.
-        realise: makes such a model of data where no descent does.
     """
 
     models: list[SindyModel]
@@ -298,7 +290,6 @@ class Candidate:
     score: float
     what: str
     structure: SindyModel | None = None
-    realise: Callable[[Transitions], SindyModel | None] | None = None
 
     @property
     def model(self) -> SindyModel:
@@ -335,11 +326,6 @@ class _Search:
     @property
     def best(self) -> Candidate:
         return min(self.tried, key=lambda each: each.score)
-
-    @property
-    def best_named(self) -> Candidate:
-        """The best one of which every state has a meaning."""
-        return min((each for each in self.tried if each.realise is None), key=lambda each: each.score)
 
     @property
     def until(self) -> float:
@@ -402,12 +388,11 @@ class _Search:
         linear = sorted((each for each in self.tried if each.structure is not None), key=lambda each: each.score)
         if linear:
             linear[0] = self._with_linear_inputs(linear[0])
-            self._with_hidden_states()
             self._select(linear[0])
-            behind = self.best_named.score > 0
+            behind = self.best.score > 0
             if behind and (lagging := self._with_lag_states(linear[0])) is not linear[0]:
                 self._select(lagging)
-        near = {each.states for each in self._near()} if self.tried else set()
+        near = {each.states for each in self._near(self.tried)} if self.tried else set()
         better = {each.states: each.structure for each in reversed(linear)}  # of two with the same states
         for model, source in structures if self.builder is not None else ():
             names = source.signature.state_names
@@ -415,18 +400,17 @@ class _Search:
                 self._regressed(model, source)
         if self.builder is not None and self.tried:
             self._with_larger_library()
-            if self._with_lag_states(before := self.best_named) is not before:
+            if self._with_lag_states(before := self.best) is not before:
                 self._with_larger_library()
         leaders = dict[object, Candidate]()
-        for each in sorted(self._near(), key=lambda each: each.score) if self.tried else ():
+        for each in sorted(self._near(self.tried), key=lambda each: each.score) if self.tried else ():
             leaders.setdefault(each.equations, each)
         for each in list(leaders.values())[:LEADERS]:
             self._windows(each)
 
-    def _near(self) -> list[Candidate]:
-        """Return those candidates of named states that are not hopelessly behind the best one of them."""
-        most = self.best_named.score + HOPELESS
-        return [each for each in self.tried if each.realise is None and each.score < most]
+    def _near(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """Return those that are not hopelessly behind the best one."""
+        return [each for each in candidates if each.score < self.best.score + HOPELESS]
 
     def _fit(
         self,
@@ -435,7 +419,6 @@ class _Search:
         source: Source,
         settings: Refinement,
         structure: SindyModel | None = None,
-        realise: Callable[[Transitions], SindyModel | None] | None = None,
     ) -> Candidate | None:
         """Fit copies of a model to what is not kept, and judge them."""
         if self.tried and (self.expired or self._exact()):
@@ -449,8 +432,7 @@ class _Search:
                 fitted[-1].refinement = settings
                 most = self.refinement.seconds * LARGEST_SHARE / len(self.folds)
                 with self._time_limit(min(self.until, time.process_time() + most)):
-                    if realise is None:
-                        fitted[-1].fit(source.training.select(fold.fit_rows(settings.window)))
+                    fitted[-1].fit(source.training.select(fold.fit_rows(settings.window)))
                 sought = model.constraints.free.any(0)
                 if not bool((fitted[-1].coefficients[:, sought] != 0).any(0).all()):
                     return None  # what moves by nothing is no equation
@@ -460,7 +442,7 @@ class _Search:
                     break  # the other parts would tell the same
             score = self._score(fitted[0], source, errors)
             models = fitted + fitted[:1] * (len(self.folds) - len(fitted))
-            candidate = Candidate(models, source, settings, errors, score, what, structure, realise)
+            candidate = Candidate(models, source, settings, errors, score, what, structure)
         if candidate is not None:
             self.tried.append(candidate)
             report_progress("fit", note=f"{what}: score {candidate.score:.3f}, best {self.best.score:.3f}")
@@ -469,10 +451,8 @@ class _Search:
     def _score(self, model: SindyModel, source: Source, errors: list[Tensor]) -> float:
         """Return what is to be least: of its errors, for each part that it was judged on, and of its size."""
         score = sum(map(HoldOut.score, self.folds, errors)) / len(errors)
-        hidden = len(hidden_states(source.signature.state_names))  # their equations are not chosen term by term
-        weight = torch.tensor([int(not hidden) if _is_linear(feature) else 2 for feature in model.library.features])
-        size = int(weight @ (model.coefficients != 0).sum(-1)) + 2 * (len(model.followed) + hidden)
-        size += NAMELESS * bool(hidden)
+        weight = torch.tensor([1 if _is_linear(feature) else 2 for feature in model.library.features])
+        size = int(weight @ (model.coefficients != 0).sum(-1)) + 2 * len(model.followed)
         return score + PER_TERM * (size + int(source.training.u_end is not None))
 
     def _again(self, what: str, of: Candidate, settings: Refinement) -> Candidate | None:
@@ -566,38 +546,6 @@ class _Search:
                 break
         return best
 
-    def _with_hidden_states(self) -> None:
-        """Where a simple model predicts better, try linear equations of what was measured and of states that it tells.
-
-        They stand for whatever has no name here: what bends, creeps or turns with several times a frequency. Such a
-        model has to predict well at every horizon: of an unstable plant a stable one may do so far ahead alone.
-        """
-        source = self.source
-        whole = not bool(source.training.x.isnan().all(0).any())
-        if self.builder is None or not (self.rates and whole) or self._worst(self.best)[0] <= BEHIND_BY:
-            return
-        given, settings = self._rebuilt(source, {}), self._settings()
-        orders = range(source.signature.n_x + 1, source.signature.n_x + HIDDEN_STATES + 1)
-        for past in PASTS:
-            parts = [source.training.select(fold.fit_rows()) for fold in self.folds]
-            found, worse, least = [subspace_models(given, part, orders, past) for part in parts], 0, math.inf
-            for order in orders:
-                if worse > WORSE or not all(order in models for models in found):
-                    continue
-                models = [models[order] for models in found]
-
-                def _realise(data: Transitions, order: int = order, past: int = past) -> SindyModel | None:
-                    return subspace_models(given, data, [order], past).get(order)
-
-                what = f"{order} linear equations that a subspace of {past} samples tells"
-                data = source.with_unmeasured(models[0].signature)
-                if (tried := self._fit(what, models, data, settings, realise=_realise)) is None:
-                    continue
-                worse, least = (0, tried.score) if tried.score < least else (worse + 1, least)
-                lead = (self._ratios(tried) - self._ratios(self.best_named)).nanmean(-1)
-                if float(lead.max().exp()) > ALIKE:
-                    self.tried.remove(tried)
-
     def _select(self, of: Candidate) -> None:
         """Let functions come in and go, at two prices.
 
@@ -644,7 +592,7 @@ class _Search:
     def _with_larger_library(self) -> None:
         """Try signed squares, cubic functions, and roots of what is never negative, beside the best ones so far."""
         for what in ("signed squares", "cubic functions", "square roots"):
-            of, model = self.best_named, self.best_named.model
+            of, model = self.best, self.best.model
             known = {each.key for each in model.library.features}
             more = [each for each in self._functions(what, model) if each.key not in known]
             if not more:
@@ -695,13 +643,11 @@ class _Search:
         Of a long log it is fitted to stretches: what chance leaves of the coefficients is small then.
         """
         model, settings, late = _warm_started(best.model), best.settings, self.expired
-        if best.realise is not None:
-            model = (not stopped and best.realise(best.source.training)) or model
-        elif settings.method == "one_step":
+        if settings.method == "one_step":
             model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
         else:
             settings = replace(settings, rounds=0, select=False)
-        model.refinement, data = None if best.realise else settings, best.source.training
+        model.refinement, data = settings, best.source.training
         linear = zip(model.signature.input_names, data.linear_inputs.tolist(), strict=True)
         model.linear_inputs = tuple(name for name, moves in linear if moves)
         with reporting_as("fit to all training data"):
@@ -725,24 +671,17 @@ class _Search:
             findings.append(weak("fit.budget", seconds=time.process_time() - self.began, stopped=stopped))
         return LogFit(model, best.source, replace(report, findings=(*findings, *report.findings)))
 
-    def _worst(self, of: Candidate) -> tuple[float, int, int]:
-        """Return by which factor a simple model predicted better at most, at which horizon, and which state."""
-        behind = self._ratios(of).exp().nan_to_num(0.0)
-        k, i = divmod(int(behind.argmax()), behind.shape[1])
-        return float(behind[k, i]), k, i
-
-    def _ratios(self, of: Candidate) -> Tensor:
-        """Return `HoldOut.ratios` of all parts that were kept, of the first one where their horizons differ."""
-        ratios = list(map(HoldOut.ratios, self.folds, of.errors))
-        return ratios[0] if len({len(each) for each in ratios}) > 1 else torch.stack(ratios).mean(0)
-
     def _behind(self, best: Candidate) -> list[Finding]:
         """Say where a simple model predicted better what was kept."""
-        factor, k, i = self._worst(best)
-        if factor <= BEHIND_BY:
+        fold, ratios = self.folds[0], list(map(HoldOut.ratios, self.folds, best.errors))
+        if len({len(each) for each in ratios}) > 1:
+            ratios = ratios[:1]
+        behind = torch.stack(ratios).mean(0).exp().nan_to_num(0.0)
+        k, i = divmod(int(behind.argmax()), behind.shape[1])
+        if float(behind[k, i]) <= BEHIND_BY:
             return []
-        name, seconds = best.source.signature.state_names[i], self.folds[0].steps[k] * best.source.training.dt
-        return [weak("fit.behind", state=name, seconds=seconds, factor=factor)]
+        name, seconds = best.source.signature.state_names[i], fold.steps[k] * best.source.training.dt
+        return [weak("fit.behind", state=name, seconds=seconds, factor=float(behind[k, i]))]
 
 
 def _warm_started(model: SindyModel) -> SindyModel:

@@ -15,8 +15,6 @@ T is found by regressions on signals that were led through such a lag, then with
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -35,8 +33,6 @@ TIMES = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768
 """Times that regressions try [samples], as far as `SLOWEST` allows: a store may be far slower than what fills it."""
 SLOWEST = 0.25
 """Longest time that is tried [lengths of the longest stretch]."""
-HIDDEN = "hidden_{}"
-"""Name of a state of a linear model that no sensor sees, nor is it the rate of anything or follows it."""
 PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Parts of a model's delay that are tried."""
 
@@ -215,11 +211,6 @@ def lag_state_ranges(model: SindyModel, data: Transitions) -> dict[int, tuple[fl
     return found
 
 
-def hidden_states(names: Sequence[str]) -> list[str]:
-    """Return the states among some that a subspace method adds to what was measured."""
-    return [name for name in names if re.fullmatch(HIDDEN.format(r"\d+"), name)]
-
-
 def completed(data: Transitions, names: tuple[str, ...], model: SindyModel) -> Transitions:
     """Return a recording with all states of a model, whose followers no sensor sees.
 
@@ -233,7 +224,7 @@ def completed(data: Transitions, names: tuple[str, ...], model: SindyModel) -> T
     """
     states = model.signature.state_names
     more = states[len(names) :]
-    if states[: len(names)] != names or not set(more) <= {*model.followed, *hidden_states(states)}:
+    if states[: len(names)] != names or not set(more) <= set(model.followed):
         raise ValueError(
             f"the model has the states {', '.join(states)}, the log {', '.join(names)}; give a model of "
             "the plant that the log is of"
