@@ -69,7 +69,9 @@ class Forecast:
     @property
     def place(self) -> str:
         """Say what was flown, in the words of the prediction: no plant."""
-        return f"on {'the model of the plan itself' if self.in_sample else 'a model fitted to data the plan never saw'}"
+        return (
+            "on the model of the plan itself" if self.in_sample else "on a model fitted to data that the plan never saw"
+        )
 
     @property
     def _missed(self) -> bool:
