@@ -168,7 +168,10 @@ def test_a_run_that_was_stopped_on_a_gpu_ends_as_the_one_that_was_not(tmp_path):
         go(tmp_path / "parts", left=30 * 8 * 4 + 20)  # within the first episode
     parts = go(tmp_path / "parts")
     assert parts["cost"]["updates"] == whole["cost"]["updates"] == 30
-    assert parts["evaluation"] == pytest.approx(whole["evaluation"], rel=1e-3, nan_ok=True)
+    never = {name for name, value in whole["evaluation"].items() if value is None}  # such as a rise time
+    assert {name for name, value in parts["evaluation"].items() if value is None} == never
+    for name in whole["evaluation"].keys() - never:
+        assert parts["evaluation"][name] == pytest.approx(whole["evaluation"][name], rel=1e-3, nan_ok=True)
     saved = [torch.load(tmp_path / name / "policy.pt") for name in ("whole", "parts")]
     for name, value in saved[0].items():
         assert value.is_cpu
