@@ -92,7 +92,8 @@ CHECKING: dict[str, Any] = {
 def check(cfg: DictConfig, file: str = "") -> None:
     """Check every value of a composed config, and make numbers of those that were written as text.
 
-    One that was read from a `file`, a finished run's, has all parts of an experiment.
+    One that was read from a `file`, a finished run's, has all parts of an experiment; settings that are gone since are
+    taken out of it where they are null, and refused otherwise.
     """
     raw: Any = OmegaConf.to_container(cfg, resolve=False)
     if isinstance(raw.get("system"), dict) and raw["system"].keys() & {"system", "plant"}:
@@ -101,6 +102,8 @@ def check(cfg: DictConfig, file: str = "") -> None:
             "let '# @package _global_' be the first line of the file that `system=` names"
         )
     try:
+        for node, name in [*_gone(cfg)] if file else ():
+            del node[name]
         tree: Any = OmegaConf.to_container(cfg, resolve=True)
         if "train" not in tree and not file and (tree.get("data") or {}).get("path"):
             tree.pop("excitation", None)  # nothing is excited where there is a log
@@ -176,6 +179,15 @@ def _arguments(tree: Any) -> Iterator[tuple[str, Any, Any]]:
         for name in sorted(required - given.keys() - (GIVEN if node.get("_partial_") else set())):
             raise ValueError(f"{group}.{name} is not given; give it, as conf/ does")
         yield from ((f"{group}.{name}", value, hints.get(name, Any)) for name, value in given.items() if value != "???")
+
+
+def _gone(cfg: DictConfig) -> Iterator[tuple[Any, str]]:
+    """Yield groups of a config and settings in them that are null and that what they build does not take (any more)."""
+    for group, node in nodes(OmegaConf.to_container(cfg, resolve=False)):
+        if "_target_" in node:
+            hints, _, free = parameters(_builder(node, group))
+            for name in (name for name, value in node.items() if value is None and name not in hints and not free):
+                yield OmegaConf.select(cfg, group), name
 
 
 @cache

@@ -231,6 +231,7 @@ def _loaded_observer(record: Mapping[str, Any] | None, setup: ControlSetup, file
     # The ranges may differ: of an output that a log shows far beyond its targets, policy and model have each its own.
     if not model.signature.alike(setup.task.signature):
         raise ValueError("the model of its observer has other states than the controller")
-    observer = Observer(model, Sensors(**record["sensors"]), setup)
+    sensors = {name: value for name, value in record["sensors"].items() if name != "process_noise"}  # in older files
+    observer = Observer(model, Sensors(**sensors), setup)
     observer.load_state_dict(record["state"])
     return observer

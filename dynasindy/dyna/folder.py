@@ -51,7 +51,8 @@ def check_settings(folder: Path, settings: str) -> None:
 
     Args:
         folder: Run folder.
-        settings: The resolved configuration as `config.yaml` holds it; what does not change a result is ignored.
+        settings: The resolved configuration as `config.yaml` holds it; what does not change a result is ignored, and
+            what is null, as it may be a setting that older runs had.
 
     Raises:
         ValueError: The folder holds a run of other settings, or other files.
@@ -63,7 +64,8 @@ def check_settings(folder: Path, settings: str) -> None:
             raise ValueError(f"{folder} holds other files, such as {min(others)}; give a new folder")
         return
     ours, theirs = (
-        [line for line in text.splitlines() if not line.startswith(FREE)] for text in (settings, config.read_text())
+        [line for line in text.splitlines() if not line.startswith(FREE) and not line.endswith(": null")]
+        for text in (settings, config.read_text())
     )
     if ours != theirs:
         differ = next((a or b for a, b in zip([*ours, ""], [*theirs, ""]) if a != b), "its length")

@@ -77,6 +77,14 @@ def test_what_is_loaded_acts_as_what_was_saved(tmp_path, integral):
     np.testing.assert_array_equal(acts(load(str(tmp_path / "controller.json"))), expected)
 
 
+def test_a_file_of_when_sensors_had_a_process_noise_is_read(tmp_path):
+    save(controller := built(), tmp_path / "controller.json")
+    record = json.loads((tmp_path / "controller.json").read_text())
+    record["observer"]["sensors"]["process_noise"] = None
+    (tmp_path / "controller.json").write_text(json.dumps(record))
+    np.testing.assert_array_equal(acts(load(tmp_path)), acts(controller))
+
+
 def test_ends_of_inputs_are_kept_and_a_file_that_has_none_has_the_actuators(tmp_path):
     controller = built()
     controller.setup = replace(controller.setup, task=controller.setup.task.with_input_limits([[-0.25], [0.5]]))

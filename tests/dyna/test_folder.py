@@ -38,6 +38,7 @@ def test_a_cut_file_is_no_result(tmp_path, name, size):
 def test_settings_are_the_same_whatever_does_not_change_a_result(tmp_path):
     (tmp_path / "config.yaml").write_text("a: 1\nfolder: here\nthreads: 1\nresume: null\n")
     check_settings(tmp_path, "a: 1\nfolder: there\nthreads: 2\nresume: there\n")
+    check_settings(tmp_path, "a: 1\nb: null\n")  # a setting that the other one does not have, and that says nothing
     with pytest.raises(ValueError, match="such"):
         check_settings(tmp_path, "a: 2\nfolder: here\nthreads: 1\n")
     with pytest.raises(ValueError, match="such"):
