@@ -93,6 +93,22 @@ def test_a_plant_that_moves_in_steps_gets_difference_equations_by_itself(each):
     again.load_state_dict(model.state_dict())
     other = again.fit(pendulum(100))
     assert (again.step is None) == (model.step is None) and "fit.steps" not in {each.code for each in other.findings}
+    # A state of the other kind takes it back, to what is known, too.
+    other = SindyModel(signature, **made)
+    other.fit(pendulum(101 - each))
+    other.load_state_dict(model.state_dict())
+    assert other.equations() == model.equations() and torch.equal(other.constraints.free, model.constraints.free)
+    assert other.fit(data).findings == () and other.equations() == model.equations()
+
+
+def test_first_data_choose_the_kind_of_equations_in_an_update_too():
+    signature = Signature(("a", "w"), ("rad", "rad/s"), ("u",), (3.0, 8.0))
+    fitted, updated = (
+        SindyModel(signature, ["a", "w", "sin(a)", "u"], Regression("bic"), time="auto") for _ in range(2)
+    )
+    fitted.fit(pendulum(1))
+    updated.update(pendulum(1))
+    assert updated.step == 0.02 and updated.equations() == fitted.equations()
 
 
 def flown(controller, target, seen=lambda a, b: [a, b]):

@@ -142,11 +142,11 @@ class SindyModel(WorldModel):
         self._fastest: float | None = None
         self.regression, self.refinement = regression or Regression(), refinement
         self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
-        self._uncut, self._open = (self.library, self.constraints), None
-        if (
-            time == "auto"
-        ):  # the rate of a place is that of a moment: over a step it moves by what its rate becomes, too
-            self._open = Constraints.build(self.library, {}, allowed or {}, fixed or {})
+        self.given_known = known  # None says that nobody knows, {} that there is nothing to be known
+        self._uncut, self._either = (self.library, self.constraints), None
+        if time == "auto":
+            # The rate of a place is that of a moment: over a step it moves by what its rate becomes, too.
+            self._either = self.constraints, Constraints.build(self.library, {}, allowed or {}, fixed or {})
         guess = Constraints.build(self.library, {}, {}, initial or {}, "plant.initial").offset
         self.initial = None if initial is None else guess
         self.initial_delay: float | None = None  # of the inputs in that guess [s]; None: not known
@@ -267,8 +267,8 @@ class SindyModel(WorldModel):
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *others: Any) -> None:
         """Cut the library as it was when the state was kept, or not at all, before coefficients are read."""
         state = state_dict.get(f"{prefix}_extra_state")
-        if state is not None and state.get("step") is not None and self.step is None:
-            self._take_steps()
+        if state is not None and self._either is not None:
+            self._become(discrete=state.get("step") is not None)
         if state is not None and (places := state.get("places", [])) != self.places:  # not in older states
             self._keep(places)
         super()._load_from_state_dict(state_dict, prefix, *others)
@@ -295,7 +295,7 @@ class SindyModel(WorldModel):
             Diverged: a coefficient is not finite; the model stays as it was.
         """
         with self._whole():
-            chosen = self._choose_time(transitions) if self._open is not None and not self.sums.count else ()
+            chosen = self._choose_time(transitions) if self._either is not None and not self.sums.count else ()
             if again := self._cuts and 0 < len(self.places) == len(self.library):
                 self._keep([])  # other data may need other functions
             self.library = self.library.with_step(None if self.step is None else UNTOLD)
@@ -309,9 +309,8 @@ class SindyModel(WorldModel):
         errors = list[float]()
         for discrete in (False, True):
             trial = copy.deepcopy(self)
-            if discrete:
-                trial._take_steps()
-            trial._open, trial.refinement = None, None
+            trial._become(discrete)
+            trial._either, trial.refinement = None, None
             try:
                 trial.fit(transitions.select(~kept))
                 data = trial._checked(transitions.select(kept))
@@ -321,14 +320,14 @@ class SindyModel(WorldModel):
                 errors.append(math.inf)
         if not max(errors[1], EXACT) < STEPS * errors[0]:
             return ()
-        self._take_steps()
+        self._become(discrete=True)
         return (note("fit.steps", error=errors[1], continuous=errors[0]),)
 
-    def _take_steps(self) -> None:
-        """Become a difference equation, whose rates nothing is known of."""
-        library = self._uncut[0].with_step(UNTOLD)
-        self._uncut = library, self._open or self._uncut[1]
-        self._keep([])
+    def _become(self, discrete: bool) -> None:
+        """Become a difference equation, whose rates nothing is known of, or a differential one, if it is not yet."""
+        if self._either is not None and discrete != (self.step is not None):
+            self._uncut = self._uncut[0].with_step(UNTOLD if discrete else None), self._either[discrete]
+            self._keep([])
 
     def update(self, transitions: Transitions) -> FitReport:
         """Identify an `additive` model anew from all earlier data and new transitions, at the cost of the new ones.
@@ -340,6 +339,8 @@ class SindyModel(WorldModel):
         """
         if not self.additive:
             return super().update(transitions)
+        if self._either is not None and not self.sums.count:
+            return self.fit(transitions)  # which of both kinds of equations it has is not known yet
         start = time.perf_counter()
         with self._whole():
             self.absorb(transitions)
