@@ -207,7 +207,7 @@ def identify(
     source = log.with_rates(rates)
     columns = {name: Column(name) for name in log.signature.state_names}
     require_consistent_rates(source.training, source.signature, rates, columns)
-    model = build(signature=source.signature, known=rates)
+    model = build(signature=source.signature, known=known)
     before = tuple(check_rates(source.training, source.signature, rates))
     for each in before:
         warnings.warn(str(each), stacklevel=2)

@@ -138,12 +138,13 @@ def fit_log(model: SindyModel, source: Source, rates: bool = True) -> LogFit:
     """Fit a model to data; of a log the one of many candidates that predicts best what their fits have not seen.
 
     Candidates are tried where the refinement of the model is left to the data (`auto`). Where its library is one that
-    suits any plant, rates, hidden states and more functions are candidates, too.
+    suits any plant, rates, hidden states and more functions are candidates, too. Of any other refinement rates alone
+    are, where nobody said what is known.
 
     Args:
         model: what to fit.
         source: the data.
-        rates: whether rates may be added that nobody named.
+        rates: whether rates may be added that nobody named; a model with `known={}` gets none.
 
     Raises:
         ValueError: the model refuses the data.
@@ -153,11 +154,13 @@ def fit_log(model: SindyModel, source: Source, rates: bool = True) -> LogFit:
     report_progress("fit")
     settings = model.refinement
     free = settings is not None and settings.method == "auto" and settings.error is None
-    if settings is not None and free and source.logged and model.step is None:
-        folds = HoldOut.folds(source.training)
-        found = _Search(model, settings, source, folds, rates).run() if folds else None
-        if found is not None:
+    rates &= model.given_known is None or len(model.given_known) > 0
+    searched = settings is not None and source.logged and model.step is None and (free or model.given_known is None)
+    if settings is not None and searched and (folds := HoldOut.folds(source.training)):
+        search = _Search(model, settings, source, folds, rates)
+        if free and (found := search.run()) is not None:
             return replace(found, report=replace(found.report, seconds=time.perf_counter() - began))
+        model, source = (model, source) if free else search.with_rates()
     return LogFit(model, source, model.fit(source.training))
 
 
@@ -373,6 +376,15 @@ class _Search:
             if not self.tried:
                 raise
             return self._final(self.best, stopped=True)
+
+    def with_rates(self) -> tuple[SindyModel, Source]:
+        """Return the model and the data with rates that nobody measured, if linear equations predict better by them."""
+        wide, *_, given = [*self._structures()] * 2
+        for structure in (wide, given) if wide[1] is not self.source else ():
+            with _attempt():
+                self._linear(*structure)
+        rates = bool(self.tried) and self.best.source is not self.source
+        return wide if rates else given
 
     def _exact(self) -> bool:
         return all(map(HoldOut.exact, self.folds, self.best.errors))

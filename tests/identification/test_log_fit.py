@@ -37,7 +37,7 @@ def steps(seed, count, length):
 
 def fitted(source, library="auto_rig", known=None, **settings):
     refinement = Refinement("auto", longest_delay=None, **settings)
-    model = SindyModel(source.signature, library, Regression("bic", tolerance=1e-4), refinement, known=known or {})
+    model = SindyModel(source.signature, library, Regression("bic", tolerance=1e-4), refinement, known=known)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return fit_log(model, source)
@@ -253,6 +253,23 @@ def test_what_was_chosen_by_hand_is_fitted_as_it_is():
     simulated = Source(source.signature, source.training, source.validation)
     model = SindyModel(source.signature, ["1", "y", "u"], Regression("bic"), AUTO)
     assert fit_log(model, simulated).model is model
+
+
+@pytest.mark.usefixtures("one_fold")
+@pytest.mark.parametrize("method", ["integral", "one_step", "trajectory"])
+def test_a_rate_that_a_log_lacks_is_added_whatever_fits_it_unless_it_is_said_to_have_none(method):
+    """a'' = -6 a - a' + 4 u, 10 s of the place alone at 20 Hz; v' = -v + u has no rate that is a state."""
+    u, dt, noise = steps(3, 20, 10), 0.05, np.random.default_rng(1).normal(0, 0.001, (201, 1))
+    for rates, column, added in (([[0, 1], [-6, -1]], [[0], [4]], True), ([[-1]], [[1]], False)):
+        n = len(rates)
+        a, b, *_ = cont2discrete((np.array(rates), np.array(column), np.eye(n), 0), dt)
+        x = [np.zeros(n)]
+        for held in u:
+            x.append(a @ x[-1] + b[:, 0] * held)
+        source = source_of(np.stack(x)[:, :1] + noise, u, dt, ("a",))
+        for known, names in ((None, ("a", "a_rate")[: 1 + added]), ({}, ("a",))):
+            model = SindyModel(source.signature, "auto_rig", Regression("bic"), Refinement(method), known=known)
+            assert fit_log(model, source).model.signature.state_names == names
 
 
 def test_candidates_are_judged_on_rows_that_none_was_fitted_to():
