@@ -171,7 +171,9 @@ def _increments(data: Transitions, rate: int) -> Tensor:
         sampled = torch.stack([data.begins(), torch.ones(len(data), dtype=torch.bool)], -1)
         samples = pd.Series(torch.stack([first, last], -1)[sampled].numpy())
         segment = segments.unsqueeze(-1).expand(-1, 2)[sampled].numpy()
-        filled = samples.groupby(segment).transform(lambda each: each.interpolate(limit=10, limit_area="inside"))
+        lost = samples.isna()
+        long = lost & (lost.groupby((~lost).cumsum()).transform("sum") > 10)  # what a straight line would invent
+        filled = samples.groupby(segment).transform(lambda each: each.interpolate(limit_area="inside")).mask(long)
         values = torch.from_numpy(filled.to_numpy(copy=True))
         places = torch.arange(len(data)) + segments - 1  # a segment has one sample more than rows
         first, last = values[places], values[places + 1]
