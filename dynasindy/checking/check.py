@@ -92,9 +92,9 @@ class Settings:
     @property
     def targets(self) -> Tensor:
         """All combinations of targets, `(points ** n_r, n_r)`."""
-        part = torch.linspace(0.0, 1.0, self.points) if self.points > 1 else torch.tensor([0.5])
+        parts = [k / (self.points - 1) for k in range(self.points)] if self.points > 1 else [0.5]
         low, high = (torch.tensor(ends, dtype=torch.float64) for ends in (self.low, self.high))
-        axes = torch.lerp(low.unsqueeze(-1), high.unsqueeze(-1), part.double())
+        axes = torch.lerp(low.unsqueeze(-1), high.unsqueeze(-1), torch.tensor(parts, dtype=torch.float64))
         return torch.cartesian_prod(*axes).reshape(-1, len(axes))
 
 

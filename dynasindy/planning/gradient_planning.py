@@ -237,7 +237,8 @@ class GradientPlanning(Planner):
         self.pace = pace = dataclasses.replace(choose_plan_settings(self.env, rests, self.finest), **self.given)
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, 0.3 * pace.lr)
-        models = [None, *self.others]  # each moves an equal share, so that no policy can exploit the errors of one
+        # Each moves an equal share, so that no policy can exploit the errors of one.
+        models = [None, *self.others][: self.rollouts]
         shares = torch.arange(self.rollouts).tensor_split(len(models))
         episodes = [_Episodes(self, model, len(share)) for model, share in zip(models, shares, strict=True)]
         rows = self.held_out
