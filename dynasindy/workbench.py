@@ -68,6 +68,7 @@ from dynasindy.sensing.offset import acting
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.reconstruction import rate_states
+from dynasindy.sindy.shooting import STABLE
 from dynasindy.systems import System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
@@ -125,7 +126,9 @@ def plan(
         if task.ends is not None:
             require_radians(log, dict(zip(task.output_names, zip(*task.ends, strict=True), strict=True)))
     task = as_planned(task, model, log)
-    setup = ControlSetup(task, dt or suited_period(model, task, log)[0], stops=model.stops)
+    dt = dt or suited_period(model, task, log)[0]
+    # A motion that is fast against the period, as that of a current, makes longer steps of the observer unstable.
+    setup = ControlSetup(task, dt, model.substeps(dt, STABLE), model.stops)
     if log is not None and sensors is None:
         sensors = _sensors_of(log, model)
     observer = None if sensors is None else _watching(model, sensors, setup, log)

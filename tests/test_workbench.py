@@ -20,6 +20,8 @@ from dynasindy.excitation import Multisine
 from dynasindy.findings import FindingError, note, wrong
 from dynasindy.identification.source import Source
 from dynasindy.progress import listening
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.shooting import STABLE
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 from dynasindy.workbench import _sensors_of, forecast, refit_shortage
@@ -303,3 +305,16 @@ def test_a_rate_that_a_log_lacks_is_added_and_estimated(exact):
         found = model(exact.training.x, exact.training.u)
     wanted = torch.stack([rate, 12 * u - 9.81 * theta.sin() - 0.5 * rate], 1)
     torch.testing.assert_close(found, wanted.double(), rtol=0, atol=1e-4)  # rad/s and rad/s^2, of 2 and 7
+
+
+def test_a_motion_that_is_fast_against_the_period_is_flown_in_steps_that_are_stable():
+    """A lag of 2 ms, as that of a current, under a period of 0.05 s."""
+    plant = Signature(("v", "i"), ("m/s", "A"), ("u",), (1.0, 1.0))
+    model = SindyModel(plant, ["v", "i", "u"])
+    model.coefficients = torch.tensor([[-1.0, 0.0], [1.0, -500.0], [0.0, 500.0]]).double()
+    period = 0.05
+    steps = model.substeps(period, STABLE)
+    assert 500 * period / steps <= STABLE and model.substeps(0.001, STABLE) == 1
+    controller = dynasindy.plan(model, {"v": (-0.5, 0.5)}, dt=period, updates=2)
+    assert controller.setup.substeps == steps
+    assert math.isfinite(float(abs(dynasindy.simulate(controller, model, {"v": 0.2}).states).max()))

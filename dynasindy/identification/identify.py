@@ -232,12 +232,13 @@ def identify_source(model: SindyModel, source: Source) -> Identified:
     model, source = fit.model, fit.source
     report_progress("prediction of the validation data")
     validation, names = source.validation, source.signature.state_names
-    predicted = open_loop(model, with_start_states(model, validation))
+    substeps = model.substeps(validation.dt)
+    predicted = open_loop(model, with_start_states(model, validation), substeps)
     missing = validation.x_next.isnan().all(0).tolist()
     seen = [(name, i) for i, (name, gaps) in enumerate(zip(names, missing, strict=True)) if not gaps]
     errors = {"open_loop_nrmse": nrmse(predicted, validation)}
     if not bool(validation.x.isnan().any()):
-        errors["one_step_error"] = one_step_error(model, delay_inputs(validation, model.delay))
+        errors["one_step_error"] = one_step_error(model, delay_inputs(validation, model.delay), substeps)
     metrics = {what: {name: float(e[i]) for name, i in seen} for what, e in errors.items()}
     forecasts = forecast_errors(model, source.training, validation)
     if forecasts is not None:

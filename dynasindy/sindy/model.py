@@ -188,15 +188,22 @@ class SindyModel(WorldModel):
         """Leave generated code out of copies and pickles; it is written again when needed."""
         return {**super().__getstate__(), "_field": None, "_field_of": None}
 
-    def substeps(self, dt: float) -> int:
-        """Return into how many Runge-Kutta steps a time [s] is divided for its fastest motion within its ranges."""
+    def substeps(self, dt: float, turned: float = COARSE) -> int:
+        """Return into how many Runge-Kutta steps a time [s] is divided for its fastest motion within its ranges.
+
+        Args:
+            dt: The time [s].
+            turned: The longest step, times the fastest rate.
+        """
+        if self.step is not None:
+            return 1
         self._forget()
         if self._fastest is None:
             n_x, n_u = self.signature.n_x, self.signature.n_u
             points = 2 * torch.rand(POINTS, n_x + n_u, generator=torch.Generator().manual_seed(0)).double() - 1
             x = points[:, :n_x] * torch.tensor(self.signature.x_scale, dtype=torch.float64)
             self._fastest = relative_step(self.library, self.coefficients, x, points[:, n_x:], 1.0)
-        return substeps_for(self._fastest * dt, COARSE)
+        return substeps_for(self._fastest * dt, turned)
 
     def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
         """Predict states one sampling time ahead, `(*batch, n_x)`, by `substeps` Runge-Kutta steps."""
