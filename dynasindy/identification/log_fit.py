@@ -91,6 +91,8 @@ CUBIC = 6
 """States and inputs up to which cubic functions are tried."""
 ANGLES = frozenset({"rad", *TURNS})
 """Units of what has no root."""
+PLACES = ANGLES | {"m", "cm", "mm"}
+"""Units of what moves by a rate."""
 LATEST = 30
 """Samples within which a delay is looked for, at least."""
 EXACT = 1e-5
@@ -496,7 +498,7 @@ class _Search:
         return [model] * len(self.folds)
 
     def _structures(self) -> Iterator[tuple[SindyModel, Source]]:
-        """Yield the model with rates of all places, with those alone that were measured as such, and as it is."""
+        """Yield the model with rates of all states, of angles and ways, of what was measured as such, and as it is."""
         if self.builder is None or not self.rates:
             yield self.given, self.source
             return
@@ -504,9 +506,11 @@ class _Search:
         names = signature.state_names
         measured = {names[i]: names[rate] for rate, i in find_rates(self.source.training).items()}
         rates = known | measured
-        places = [n for n, unit in zip(names, signature.state_units, strict=True) if not is_speed(unit)]
-        if lacking := [name for name in places if name not in rates and name not in rates.values()]:
-            wide = {n: rates.get(n, rate_name(n, signature)) for n in names if n in rates or n in lacking}
+        units = dict(zip(names, signature.state_units, strict=True))
+        lacking = [n for n in names if not is_speed(units[n]) and n not in rates and n not in rates.values()]
+        moving = [n for n in lacking if units[n] in PLACES]  # what stands beside it, as a current, may have no rate
+        for added in filter(None, (lacking, moving if len(moving) < len(lacking) else ())):
+            wide = {n: rates.get(n, rate_name(n, signature)) for n in names if n in rates or n in added}
             source = self.source.with_rates(wide)
             yield self._rebuilt(source, wide), source
         if len(rates) > len(known):

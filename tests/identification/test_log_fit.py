@@ -129,6 +129,23 @@ def test_every_place_has_its_rate_where_one_lacks_it():
     assert {key: coefficient(found.model, *key) for key in names} == pytest.approx(names, rel=0.1)
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("one_fold")
+def test_a_current_beside_an_angle_gets_no_rate():
+    """A motor, angle'' = 30 i - 2 angle' and i' = 60 (u - i) - 6 angle', in steps of 0.02 s; the rate is not read."""
+    u, dt = steps(5, 20, 15), 0.02
+    rates = np.array([[0, 0, 1.0], [0, -60, -6], [0, 30, -2]])
+    a, b, *_ = cont2discrete((rates, np.array([[0], [60.0], [0]]), np.eye(3), 0), dt)
+    x = [np.zeros(3)]
+    for held in u:
+        x.append(a @ x[-1] + b[:, 0] * held)
+    y = np.stack(x)[:, :2] + np.random.default_rng(6).normal(0, (0.002, 0.03), (len(x), 2))
+    found = fitted(source_of(y, u, dt, ("angle", "i"), ("rad", "A")))
+    assert found.model.signature.state_names == ("angle", "i", "angle_rate")
+    names = {("angle_rate", "i"): 30.0, ("i", "i"): -60.0, ("i", "u"): 60.0}
+    assert {key: coefficient(found.model, *key) for key in names} == pytest.approx(names, rel=0.05)
+
+
 @pytest.mark.usefixtures("one_fold")
 def test_what_pushes_the_plant_does_not_bias_its_equations():
     """x[k+1] = A x[k] + B u[k] + w[k] of y'' = -4 y - y' + 3 u with random pushes, y measured with noise."""
