@@ -335,7 +335,8 @@ class Controller:
         ):
             if (wrong := np.flatnonzero(~np.isfinite(values))).size:
                 place = int(wrong[0])
-                raise ValueError(f"{what} of {names[place]} is {values[place]}; give a finite number{hint}")
+                given = "not given, or nan" if np.isnan(values[place]) else f"{values[place]}"
+                raise ValueError(f"{what} of {names[place]} is {given}; give a finite number{hint}")
 
 
 def _line(r: Tensor, slope: Tensor | float, t: float) -> Tensor:
