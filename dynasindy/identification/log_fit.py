@@ -587,7 +587,7 @@ class _Search:
         """Let functions come in and go from a candidate on, at rising prices, and return the best one; None of none."""
         best: Candidate | None = None
         for penalty in PRICES:
-            found = self._again(f"{what} at {penalty:g} times a price", last, replace(settings, penalty=penalty))
+            found = self._again(f"{what} with a penalty of {penalty:g}", last, replace(settings, penalty=penalty))
             if found is None:
                 break
             last, best = found, found if best is None else _better(best, found)
