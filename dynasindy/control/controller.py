@@ -335,7 +335,7 @@ class Controller:
         ):
             if (wrong := np.flatnonzero(~np.isfinite(values))).size:
                 place = int(wrong[0])
-                given = "not given, or nan" if np.isnan(values[place]) else f"{values[place]}"
+                given = "nan, or was not given" if np.isnan(values[place]) else f"{values[place]}"
                 raise ValueError(f"{what} of {names[place]} is {given}; give a finite number{hint}")
 
 
