@@ -96,8 +96,7 @@ def hold(
     # Departure: the paper's policy begins with random weights; on a plant that runs away ours begins as a law of the
     # model.
     best, before = score(network), copy.deepcopy(network.state_dict())
-    regulators = [Regulator.of(env, rests, replace(Weights(), outputs=weight)) for weight in LADDER]
-    earned: dict[float, _Law] = {score(law): law for law in regulators if law is not None}
+    earned: dict[float, _Law] = {score(law): law for law in _regulators(env, rests)}
     afar, imagined, late = False, 0, rows.late
     if search and earned and not arrives(earned[max(earned)], env, rests, rng):
         paths, imagined = TrajectoryLibrary.of(env, rests, rng)
@@ -114,6 +113,32 @@ def hold(
         return Imitation(imitated, imagined, math.prod(lessons), afar)
     network.load_state_dict(before)
     return Imitation(best, imagined, math.prod(lessons))
+
+
+def _regulators(env: ControlEnv, rests: Equilibria) -> list[Regulator]:
+    """Return regulators of the model, from gentle to strong ones."""
+    found = [Regulator.of(env, rests, replace(Weights(), outputs=weight)) for weight in LADDER]
+    return [law for law in found if law is not None]
+
+
+@torch.no_grad()
+def bears_delay(env: ControlEnv, rests: Equilibria, rows: Rows) -> bool:
+    """Return whether a regulator brings episodes home whose inputs are late, or none those whose inputs are in time.
+
+    Args:
+        env: Imagined environment.
+        rests: Equilibria of its model.
+        rows: Episodes, some of them with late inputs.
+    """
+    task, laws = env.task, _regulators(env, rests)
+    assert isinstance(task, Tracking)
+    reference = task.reference(rows.params, torch.full_like(rows.t, task.max_steps * env.dt)).float()
+
+    def _home(law: Regulator, late: Tensor | None) -> bool:
+        whole = imagine(env, law, replace(rows, late=late, kept=False), task.max_steps)
+        return bool((law.home(whole.states[-STILL:], reference, NEAR) & whole.alive[-1]).all())
+
+    return any(_home(law, rows.late) for law in laws) or not any(_home(law, None) for law in laws)
 
 
 @torch.no_grad()

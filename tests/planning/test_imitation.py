@@ -6,8 +6,9 @@ import torch
 from torch import nn
 
 from dynasindy.agents.networks import MLP
+from dynasindy.envs import ControlEnv
 from dynasindy.planning.gradient_planning import references
-from dynasindy.planning.imitation import ROWS, _imitate, arrives, hold
+from dynasindy.planning.imitation import ROWS, _imitate, arrives, bears_delay, hold
 from dynasindy.planning.regulator import Regulator, Weights
 
 
@@ -73,3 +74,13 @@ def test_a_law_arrives_where_the_plant_rests_at_every_target_in_the_end(inverted
         law = Regulator.of(env, rests, Weights())
         assert arrives(law, env, rests, torch.Generator().manual_seed(0)) is arrived
         assert not arrives(lambda o: torch.ones(*o.shape[:-1], 1), env, rests, torch.Generator().manual_seed(0))
+
+
+def test_inputs_a_period_late_hold_a_pole_only_where_it_falls_by_less_than_twice_in_a_period(inverted):
+    """Of x[k+1] = f x[k] + g u[k-1] no feedback of x[k] is stable beyond f = 2; here f = exp(2 dt)."""
+    for dt, borne in ((0.05, True), (0.4, False)):
+        env, rests = inverted(box=0.01, start={"theta": [-0.05, 0.05]})
+        env = ControlEnv(env.system, env.task, dt, 8)
+        rows = references(env, 8, torch.Generator().manual_seed(0))
+        rows.late = torch.ones(8, 1)
+        assert bears_delay(env, rests, rows) is borne
