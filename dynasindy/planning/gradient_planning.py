@@ -21,7 +21,7 @@ from dynasindy.agents import TD3, Actor, DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
 from dynasindy.planning.imagined_replay import Planned, Planner
-from dynasindy.planning.imitation import Imitation, arrives, bears_delay, hold, imagined_rewards, improve
+from dynasindy.planning.imitation import Imitation, arrives, hold, imagined_rewards, improve, tolerates_delay
 from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choose_plan_settings, find_task_equilibria
 from dynasindy.planning.randomization import InputStrength, draw_delays
 from dynasindy.planning.rollout import Network, Rows, Window, backward, imagine
@@ -247,7 +247,7 @@ class GradientPlanning(Planner):
         if rests is not None and self.input_delay:  # three episodes in time and three that are late, in turn
             rows.late = self.input_delay * (torch.arange(len(rows.x)) // 3 % 2).unsqueeze(-1).float()
         begun, held = Imitation(-math.inf), rests is not None and pace.warm_start
-        if rests is not None and held and rows.late is not None and not bears_delay(self.env, rests, rows):
+        if rests is not None and held and rows.late is not None and not tolerates_delay(self.env, rests, rows):
             rows.late = None  # a plant that runs away within a period or two is held by inputs in time alone
         if rests is not None and held and (first or not arrives(self.network, self.env, rests, self.rng)):
             begun = hold(self.network, self.env, rests, rows, self.test, self.rng)

@@ -122,7 +122,7 @@ def _regulators(env: ControlEnv, rests: Equilibria) -> list[Regulator]:
 
 
 @torch.no_grad()
-def bears_delay(env: ControlEnv, rests: Equilibria, rows: Rows) -> bool:
+def tolerates_delay(env: ControlEnv, rests: Equilibria, rows: Rows) -> bool:
     """Return whether a regulator brings episodes home whose inputs are late, or none those whose inputs are in time.
 
     Args:

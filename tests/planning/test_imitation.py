@@ -8,7 +8,7 @@ from torch import nn
 from dynasindy.agents.networks import MLP
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.gradient_planning import references
-from dynasindy.planning.imitation import ROWS, _imitate, arrives, bears_delay, hold
+from dynasindy.planning.imitation import ROWS, _imitate, arrives, hold, tolerates_delay
 from dynasindy.planning.regulator import Regulator, Weights
 
 
@@ -83,4 +83,4 @@ def test_inputs_a_period_late_hold_a_pole_only_where_it_falls_by_less_than_twice
         env = ControlEnv(env.system, env.task, dt, 8)
         rows = references(env, 8, torch.Generator().manual_seed(0))
         rows.late = torch.ones(8, 1)
-        assert bears_delay(env, rests, rows) is borne
+        assert tolerates_delay(env, rests, rows) is borne
