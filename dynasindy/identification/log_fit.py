@@ -41,7 +41,7 @@ from dynasindy.sindy.lag_states import lag_state_candidates, lag_state_finding, 
 from dynasindy.sindy.library import Constraints, Factor, Feature, Library, variable
 from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, is_speed, polynomial
+from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, is_place, is_speed, polynomial
 from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import SAMPLES_EACH, fit_supported
@@ -91,8 +91,6 @@ CUBIC = 6
 """States and inputs up to which cubic functions are tried."""
 ANGLES = frozenset({"rad", *TURNS})
 """Units of what has no root."""
-PLACES = ANGLES | {"m", "cm", "mm"}
-"""Units of what moves by a rate."""
 LATEST = 30
 """Samples within which a delay is looked for, at least."""
 EXACT = 1e-5
@@ -381,7 +379,8 @@ class _Search:
 
     def with_rates(self) -> tuple[SindyModel, Source]:
         """Return the model and the data with rates that nobody measured, if linear equations predict better by them."""
-        wide, *_, given = [*self._structures()] * 2
+        structures = [*self._structures()]
+        wide, given = structures[0], structures[-1]
         for structure in (wide, given) if wide[1] is not self.source else ():
             with _attempt():
                 self._linear(*structure)
@@ -508,7 +507,7 @@ class _Search:
         rates = known | measured
         units = dict(zip(names, signature.state_units, strict=True))
         lacking = [n for n in names if not is_speed(units[n]) and n not in rates and n not in rates.values()]
-        moving = [n for n in lacking if units[n] in PLACES]  # what stands beside it, as a current, may have no rate
+        moving = [n for n in lacking if is_place(units[n])]  # what stands beside it, as a current, may have no rate
         for added in filter(None, (lacking, moving if len(moving) < len(lacking) else ())):
             wide = {n: rates.get(n, rate_name(n, signature)) for n in names if n in rates or n in added}
             source = self.source.with_rates(wide)

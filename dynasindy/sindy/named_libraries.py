@@ -19,6 +19,11 @@ LINKS = -0.3
 """Where the fit of p begins for links in a row; nearer to zero a force and its quotient can hardly be told apart."""
 
 
+def is_place(unit: str) -> bool:
+    """Tell whether a unit is that of an angle or a length."""
+    return bool(PLACE.fullmatch(unit))
+
+
 def is_speed(unit: str) -> bool:
     """Tell whether a unit is that of an angle or a length per time."""
     return bool(SPEED.fullmatch(unit) or TURNING.fullmatch(unit))
@@ -80,12 +85,12 @@ DRY = 10.0
 """First guess of the inverse of the rate at which dry friction is full [s/rad]."""
 FULL = 20.0
 """First guess of the range of a rate, in those rates at which dry friction is full."""
-_PLACE = "|".join(
-    (*(f"{prefix}m" for prefix in ("", "k", "c", "d", "m", "u", "µ", "μ", "n")), "in", "ft", "rad", *TURNS)
+PLACE = re.compile(
+    "|".join((*(f"{prefix}m" for prefix in ("", "k", "c", "d", "m", "u", "µ", "μ", "n")), "in", "ft", "rad", *TURNS))
 )
 TURNING = re.compile(r"rpm|rps|(?:1|U|r|rev|turns?)/min")
-SPEED = re.compile(rf"(?!{TURNING.pattern})(?:{_PLACE})/(?:h|min|s|ms)")
-"""Units of the rates of angles and places: any angle or length per time, and turns per minute, as those of shafts."""
+SPEED = re.compile(rf"(?!{TURNING.pattern})(?:{PLACE.pattern})/(?:h|min|s|ms)")
+"""Units of angles and lengths, and of their rates: any of them per time, and turns per minute, as those of shafts."""
 LibraryBuilder = Callable[[Signature], Library]
 PITCH, ROTORS, RATES = "alpha_p", ("omega_a", "omega_p"), ("Omega_a", "Omega_p")
 """States of twin rotors: the pitch angle [rad], x2 of the paper, the speeds of the tail and the main rotor [rpm], and
