@@ -622,8 +622,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "fit.multiple_shooting": "the fit simulates pieces of {samples} samples, as the whole log runs away",
     "fit.shorter_shooting": "the fit simulates pieces of {short} samples, as the model runs away in those of {long}",
-    "fit.steps": "the plant moves in steps: at the end of the data difference equations miss a period by {error:.2g} "
-    "ranges a second, differential equations by {continuous:.2g}",
+    "fit.steps": "the plant moves in steps: at the end of the data the error of difference equations grows by "
+    "{error:.2g} ranges a second in a period, that of differential equations by {continuous:.2g}",
     "fit.library_cut": "of the {whole} functions of library {library} {kept} were taken, the simplest ones and those "
     "that explain most, as {samples} samples tell no more; log longer, or name the functions that move the plant",
     "fit.shape": "the number in {function} stayed at its first guess {guess:g}: the data hardly determine it",

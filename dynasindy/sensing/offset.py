@@ -16,6 +16,8 @@ Policy = Callable[[TensorDictBase], TensorDictBase]
 """Reads `observation`, writes `action`."""
 NUDGE = 1e-4
 """Step of the central differences [ranges of the states, and of the inputs]."""
+STEPS, DAMPING = 2, 1e-4
+"""Gauss-Newton steps per control period, and how much they are damped."""
 
 
 def correction(system: System, x: Tensor, u: Tensor, push: Tensor, outputs: Sequence[int], guess: Tensor) -> Tensor:
@@ -44,13 +46,13 @@ def correction(system: System, x: Tensor, u: Tensor, push: Tensor, outputs: Sequ
     held[range(len(outputs)), list(outputs)] = 1.0
     held = held.expand(*x.shape[:-1], *held.shape)
     wanted, point, shift = system(x, u) + push, torch.cat([x, u], -1), guess
-    for _ in range(2):
+    for _ in range(STEPS):
         around = (point - shift).unsqueeze(-2) + nudges * scale
         rates = (system(around[..., :n_x], around[..., n_x:]) - wanted.unsqueeze(-2)) / scale[:n_x]
         excess, forth, back = rates.split([1, n_x + n_u, n_x + n_u], -2)
         slopes = torch.cat([(forth - back).mT / (2 * NUDGE), held], -2)
         missing = torch.cat([excess.squeeze(-2), -(shift / scale)[..., list(outputs)]], -1).unsqueeze(-1)
-        normal = slopes.mT @ slopes + 1e-4 * torch.eye(n_x + n_u, dtype=x.dtype)
+        normal = slopes.mT @ slopes + DAMPING * torch.eye(n_x + n_u, dtype=x.dtype)
         # Far off, where a model explodes, the matrix may be singular in spite of the damping: no number is no shift.
         step, failed = torch.linalg.solve_ex(normal, slopes.mT @ missing)
         shift = shift + step.squeeze(-1).masked_fill(failed.bool().unsqueeze(-1), torch.nan) * scale
