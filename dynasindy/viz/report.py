@@ -1,6 +1,7 @@
 """The report: figures and tables of the paper beside ours, from saved results, and what holds of the paper's claims.
 
-Words may hold `code` and **bold**; all else of them is shown as it stands, and is neither HTML nor a link.
+The page is `report.md.jinja`, whose gaps are filled by what is saved. Words may hold `code` and **bold**; all else of
+them is shown as it stands, and is neither HTML nor a link.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jinja2
 import matplotlib
 import numpy as np
 import torch
@@ -37,7 +39,6 @@ from dynasindy.viz.run import Table as Columns
 from dynasindy.viz.run import gate, periods, read_table, stacked
 from dynasindy.viz.style import STYLE, Array
 
-TITLE = "The paper's figures and tables, beside ours"
 WIDTH = 120
 SVG: dict[Any, Any] = {"svg.fonttype": "none", "path.simplify_threshold": 0.3}
 """Letters stay text, which is smaller than outlines and can be searched."""
@@ -152,16 +153,13 @@ Part = str | TextTable | Picture
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, a paragraph, the parts that show it, and what was judged in each case of plant and experiment."""
+    """The parts of a section, and what was judged in each case of plant and experiment."""
 
-    title: str
-    words: str
     parts: list[Part] = field(default_factory=list)
     judged: list[tuple[str, Judgement]] = field(default_factory=list)
 
     def content(self) -> Iterator[Part]:
-        """Yield what stands under the heading, from top to bottom."""
-        yield self.words
+        """Yield what stands under the heading, from top to bottom: figures, what was judged by them, and all else."""
         yield from (part for part in self.parts if isinstance(part, Picture))
         rows: dict[str, dict[str, str]] = {}
         for case, one in self.judged:
@@ -173,18 +171,27 @@ class Section:
         yield from (part for part in self.parts if not isinstance(part, Picture))
 
 
-def render_markdown(title: str, sections: Sequence[Section]) -> str:
-    """Return a page as Markdown, whose figures are `figures/NAME.svg`.
+def render_markdown(sections: Mapping[str, Section]) -> str:
+    """Return the page as Markdown, whose figures are `figures/NAME.svg`.
 
     What figures and tables come from stands once, in a numbered list at the end of the page.
     """
-    blocks = [f"# {title}"]
     sources: dict[str, int] = {}
-    for section in sections:
-        blocks += [f"## {section.title}", *(_markdown(part, sources) for part in section.content())]
-    if sources:
-        blocks += ["## Sources", "\n".join(f"{n}. {escape_markdown(words)}" for words, n in sources.items())]
-    return "\n\n".join(blocks) + "\n"
+    page = jinja2.Environment(
+        loader=jinja2.PackageLoader("dynasindy.viz", ""),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        keep_trailing_newline=True,
+    )
+    page.filters |= {"paragraph": lambda text: _paragraph(text) + "\n", "escape_markdown": escape_markdown}
+    return page.get_template("report.md.jinja").render(
+        {name: value for name, value in globals().items() if name.isupper()},  # what verdicts depend on
+        BEYOND=BEYOND,
+        sections=sections,
+        verdict=_verdict([pair for section in sections.values() for pair in section.judged]),
+        show=lambda section: "\n\n".join(_markdown(part, sources) for part in section.content()),
+        sources=sources,
+    )
 
 
 def _round_digits(outline: str) -> str:
@@ -195,14 +202,17 @@ def _round_digits(outline: str) -> str:
 def _markdown(part: Part, sources: dict[str, int]) -> str:
     """Return a part as Markdown, and add what it comes from to the sources."""
     if isinstance(part, str):
-        words = textwrap.wrap(escape_markdown(part), WIDTH, break_long_words=False, break_on_hyphens=False)
-        return "\n".join(words)
+        return _paragraph(part)
     numbers = [str(sources.setdefault(line, len(sources) + 1)) for line in part.sources]
     source = f"Source: {', '.join(numbers)}." if numbers else ""
     if isinstance(part, Picture):
         image = f"![{part.name.replace('_', ' ')}](figures/{part.name}.svg)"
         return f"{image}\n\n{_markdown(f'{part.caption} {source}'.strip(), sources)}"
     return "\n\n".join(filter(None, [markdown(part.header, part.rows), source]))
+
+
+def _paragraph(words: str) -> str:
+    return textwrap.fill(escape_markdown(words), WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
 @dataclass(frozen=True)
@@ -276,31 +286,28 @@ def build(results: Results, folder: Path) -> list[Path]:
     Raises:
         DamagedFileError: A saved file is not what a section expects.
     """
-    page = pages(results)
-    files = {folder / "report.md": render_markdown(TITLE, page)}
-    pictures = [part for section in page for part in section.parts if isinstance(part, Picture)]
+    sections = build_sections(results)
+    files = {folder / "report.md": render_markdown(sections)}
+    pictures = [part for section in sections.values() for part in section.parts if isinstance(part, Picture)]
     files |= {folder / "figures" / f"{part.name}.svg": part.svg() + "\n" for part in pictures}
     for file, text in files.items():
         write_text(file, text)
     return [*files]
 
 
-def pages(results: Results) -> list[Section]:
-    """Return the sections from top to bottom: the verdict, the paper in its order, and what is beyond it."""
+def build_sections(results: Results) -> dict[str, Section]:
+    """Return the sections of the page by name."""
     with reading(results.folder):
-        sections = [build_section(results, *entry) for entry in SECTIONS]
-    return [_claims(sections), *sections]
+        return {name: build_section(results, name) for name in SECTIONS}
 
 
-def build_section(
-    results: Results, title: str, words: str, builder: Builder, cases: Sequence[tuple[str, ...]]
-) -> Section:
+def build_section(results: Results, name: str) -> Section:
     """Build a section from what is saved of each case; where something is missing, a line says so.
 
     Raises:
         DamagedFileError: What is saved is not what the section expects.
     """
-    section = Section(title, words)
+    section, (builder, cases) = Section(), SECTIONS[name]
     for case in cases:
         with reading(f"what is saved of {' '.join(case)}"):
             try:
@@ -316,9 +323,8 @@ def _case(plant: str, experiment: str = "", *_: str) -> str:
     return f"{plant}, `{experiment}`"
 
 
-def _claims(sections: Sequence[Section]) -> Section:
+def _verdict(judged: Sequence[tuple[str, Judgement]]) -> Section:
     """Count how many of the statements behind each claim hold."""
-    judged = [pair for section in sections for pair in section.judged]
     rows = []
     for claim in CLAIMS:
         cells = []
@@ -329,18 +335,10 @@ def _claims(sections: Sequence[Section]) -> Section:
             share = f"{words} ({count} of {len(verdicts)}{f', {same} no difference' * bool(same)})"
             cells.append(share if verdicts else "not measured")
         rows.append([claim, *cells])
-    about = (
-        "The paper, Dyna-Style Reinforcement Learning Modeling and Control of Non-linear Dynamics, identifies a "
-        "twin-rotor rig by SINDy and trains TD3 on the real rig and on imagined rollouts of the model. Here `xi` is "
-        "the paper's published model taken as a plant, `tras` the physics of its laboratory rig; `dyna` are our "
-        "settings, `paper` the paper's. Numbers decide what holds, and stand beside each figure. The paper's "
-        f"controllers with a model have learnt for {EPISODES} episodes, ours for as many as the captions say. "
-        "`python scripts/report.py` builds this page from the results saved in the repository."
-    )
     held = [one.verdict for _, one in judged].count(Verdict.HOLDS)
     words = f"How many of the statements behind each claim hold; of {len(judged)} in all {held} do."
     header = ["what the paper claims, in our words", *(_case(*case) for case in CASES)]
-    return Section("The verdict", about, [words, TextTable(header, rows)])
+    return Section([words, TextTable(header, rows)])
 
 
 def _training(results: Results, plant: str, experiment: str) -> Made:
@@ -619,103 +617,17 @@ def _listed(values: Mapping[str, float], infinite: str = "never") -> str:
     return ", ".join(f"{name} {infinite if np.isinf(value) else f'{value:.4g}'}" for name, value in values.items())
 
 
-OPEN_LOOP = (
-    " Here the {} real episode is predicted open loop, from its start and its inputs alone, before the model is fitted "
-    f"to it. A state is predicted well when its RMSE is under {CLOSE:g} % of its range. The axes end at most "
-    f"{BEYOND:g} ranges beyond those of the plant; one that leaves them is called cut off."
-)
-SECTIONS: Sequence[tuple[Any, ...]] = (
-    (
-        "Figures 5 to 7: chirp input and training data",
-        "The paper drives both inputs with one chirp over 10 s (figure 5). Its printed formula stays within [0.707, 1] "
-        "and does not sweep, so the sweep that is meant is used here, with inputs of different phase, around the hover "
-        "point. It plots rotor speeds (figure 6) and angles with their rates (figure 7); inputs and all six states are "
-        "drawn here in one figure.",
-        _training,
-        OURS,
-    ),
-    (
-        "Table 1: agent training hyperparameters",
-        "The settings of the saved runs: `experiment=paper` takes the paper's numbers, `experiment=dyna` is ours.",
-        _hyperparameters,
-        [("xi",)],
-    ),
-    (
-        "Figure 8: SINDy model learning progress",
-        "The paper plots the difference between the rewards of model and plant over training episodes: high at first, "
-        "then falling. The upper panel has it per control period, of whole episodes replayed through a model that had "
-        "not seen them, and of held-out windows, by which the gate decides whether the model is used for planning. The "
-        "lower panel has the error of the states before and after each refit. It has fallen if the last error is less "
-        f"than {FALL:g} of the first and than `gate.open_below`, or if each is less than that.",
-        _model_learning,
-        CASES,
-    ),
-    (
-        "Figure 9: predicted and real states before reinforcement learning",
-        "The paper's model, fitted to 10 s of chirp alone, predicts the rotor speeds with small errors and has "
-        "difficulty with angles and their rates." + OPEN_LOOP.format("first"),
-        partial(_states, episode="first"),
-        CASES,
-    ),
-    (
-        "Figure 10: predicted and real states after reinforcement learning",
-        "After training the paper applies the chirp again: the model's states lie almost on those of the plant."
-        + OPEN_LOOP.format("last"),
-        partial(_states, episode="last"),
-        CASES,
-    ),
-    (
-        "Table 2: SINDy model Xi matrix",
-        "The paper prints the coefficients of its model. As the plant `xi` they are the truth, and identification has "
-        f"to find them: all of them to {COEFFICIENT:g} %, and no others.",
-        _coefficients,
-        CASES[:2],
-    ),
-    (
-        "Figure 11: Dyna-Style vs. Direct TD3 average rewards",
-        "The paper plots the average reward over training episodes without planning, with 400 and with 800 rollouts: "
-        "rising sooner with planning, soonest with 800 (about 180 episodes), nearly the same at the end. Without "
-        "planning, runs of `experiment=dyna` make as many gradient updates as the others, and those of "
-        "`experiment=paper` are direct TD3; where the level is compared, agents without a model stand beside them. A "
-        "return is that of the policy without noise over 64 fixed steps: interquartile mean and 95 % bootstrap "
-        "interval over seeds, or a line for each where there are fewer than three. Early is the first "
-        f"{100 * EARLY:g} % of the evaluations. Where 800 rollouts are at the level no sooner than 400, but both "
-        f"within {SOON} episodes, there is no difference.",
-        _rewards,
-        CASES,
-    ),
-    (
-        "Figures 12 and 13: azimuth and pitch step trajectory tracking",
-        "Figure 12 of the paper tracks an azimuth step, figure 13 a pitch step: without planning both axes settle away "
-        "from the reference (azimuth about 0.08 rad), 400 rollouts come closer with more overshoot, 800 rollouts have "
-        "the smallest steady-state error and, on pitch, little overshoot. Errors are means over 64 targets, of the "
-        f"first seed; {LEVEL:g} rad are asked for with planning, and where both have at most {FINE:g} there is no "
-        "difference. The first of the 64 targets, the one nearest to three quarters of the upper ends, is drawn.",
-        _steps,
-        CASES,
-    ),
-    (
-        "Figure 14: sine wave tracking, with and without the model",
-        "The paper tracks a sine (azimuth 0.35 rad, pitch 0.25 rad, 0.015 Hz) after 2500 episodes with the model and "
-        "about 4500 without. With it both axes follow after a transient, pitch with small deviations at first; "
-        "without it they follow too, with more oscillation.",
-        partial(_wave, shape="sine"),
-        CASES,
-    ),
-    (
-        "Figure 15: square wave tracking, with and without the model",
-        "The paper tracks a square wave (azimuth 0.4 rad, pitch -0.5 rad, 0.01 Hz). With the model both axes reach "
-        "each level with little steady-state error and spikes at the jumps; without it the steady-state error is "
-        f"larger and the spikes are smaller. A level is held if its error is under {100 * FOLLOWS:g} % of it.",
-        partial(_wave, shape="square"),
-        CASES,
-    ),
-    (
-        "Beyond the paper: planning by gradient",
-        "The main job trains the policy by the gradient of the reward through the identified model, and judges it on "
-        "the plant. `docs/results/README.md` has its errors over seeds and cases and those of other controllers.",
-        _gradient_run,
-        [(plant, scenario) for plant in PLANTS for scenario in ("step", "sine", "square")],
-    ),
-)
-"""The paper from its first figure to its last, and what is beyond it."""
+SECTIONS: Mapping[str, tuple[Builder, Sequence[tuple[str, ...]]]] = {
+    "training_data": (_training, OURS),
+    "hyperparameters": (_hyperparameters, [("xi",)]),
+    "model_learning": (_model_learning, CASES),
+    "states_before": (partial(_states, episode="first"), CASES),
+    "states_after": (partial(_states, episode="last"), CASES),
+    "coefficients": (_coefficients, CASES[:2]),
+    "average_rewards": (_rewards, CASES),
+    "step": (_steps, CASES),
+    "sine": (partial(_wave, shape="sine"), CASES),
+    "square": (partial(_wave, shape="square"), CASES),
+    "gradient": (_gradient_run, [(plant, scenario) for plant in PLANTS for scenario in ("step", "sine", "square")]),
+}
+"""What builds each section of the page, from the paper's first figure on, and of which cases."""

@@ -11,14 +11,13 @@ from omegaconf import OmegaConf
 from dynasindy.safe_io import DamagedFileError
 from dynasindy.viz.report import (
     SECTIONS,
-    TITLE,
     Picture,
     Results,
     Section,
     TextTable,
     Verdict,
     build_section,
-    pages,
+    build_sections,
     render_markdown,
 )
 from dynasindy.viz.response import tracking
@@ -29,14 +28,10 @@ OF_FOUR = 3  # of four cases, xi and tras in two experiments, one is there
 
 
 @pytest.fixture(scope="module")
-def saved() -> list[Section]:
+def saved() -> dict[str, Section]:
     files = RESULTS.glob("runs/*/config.yaml")
-    return pages(Results(RESULTS, {one.parent.name: OmegaConf.to_container(OmegaConf.load(one)) for one in files}))
-
-
-def built(title: str, results: Results) -> Section:
-    (entry,) = [entry for entry in SECTIONS if entry[0].startswith(title)]
-    return build_section(results, *entry)
+    settings = {one.parent.name: OmegaConf.to_container(OmegaConf.load(one)) for one in files}
+    return build_sections(Results(RESULTS, settings))
 
 
 def numbers(words: str) -> list[float]:
@@ -62,13 +57,13 @@ def missing(section):
 
 def test_the_committed_report_is_that_of_the_saved_results(saved):
     shown = (REPOSITORY / "docs/report/report.md").read_text()
-    assert render_markdown(TITLE, saved) == shown, "run: python scripts/report.py"
+    assert render_markdown(saved) == shown, "run: python scripts/report.py"
     figures = set(re.findall(r"\]\(figures/([^)]+)\)", shown))
     assert figures == {one.name for one in (REPOSITORY / "docs/report/figures").iterdir()} and len(figures) > 30
 
 
 def test_every_picture_and_run_of_the_report_has_its_command_and_commit(saved):
-    for section in saved:
+    for section in saved.values():
         for part in section.parts:
             if isinstance(part, Picture):
                 assert re.search(r"made by `python scripts/[^`]+` at commit [0-9a-f]{7}", part.sources[0]), part.name
@@ -78,12 +73,12 @@ def test_words_of_others_are_no_html_and_no_link():
     hostile = "<script>alert(1)</script> [x](http://y) `a < b`"
     figure = tracking([0.0, 0.1], [[0.1, 0.2]] * 2, {"<script>": [[0.0, 0.1]] * 2})
     parts = [hostile, TextTable([hostile], [[hostile]]), Picture("p", figure, hostile, [hostile])]
-    markdown = render_markdown("t", [Section("s", hostile, parts)])
+    markdown = render_markdown(dict.fromkeys(SECTIONS, Section(parts)))
     assert "<script" not in markdown and "[x](" not in markdown
 
 
 def test_average_rewards_are_the_numbers_of_the_table(results):
-    section = built("Figure 11", results)
+    section = build_section(results, "average_rewards")
     (axis,) = picture(section).figure.axes
     curves = {line.get_label(): line.get_ydata() for line in axis.lines}
     np.testing.assert_allclose(curves["800 rollouts (3 seeds)"], [-10.0 / k + 1.0 for k in range(1, 7)])
@@ -104,7 +99,7 @@ def test_agents_without_a_model_and_runs_of_other_lengths(results, tmp_path):
             for seed, end in ((0, 9), (1, 7 if name == "rollouts_0" else 9), (2, 9)):
                 file.writelines(f"xi,dyna,{name},{seed},{k},-1,0.01,0.01\r\n" for k in range(7, end + 1))
     more = Results(folder, results.settings)
-    section = built("Figure 11", more)
+    section = build_section(more, "average_rewards")
     level = measured(section)[1]
     assert numbers(level.ours)[-2:] == [7, 5] and level.verdict is Verdict.SHORT
     # Nothing is compared after episode 7, which is as far as all seeds go.
@@ -112,7 +107,7 @@ def test_agents_without_a_model_and_runs_of_other_lengths(results, tmp_path):
 
 
 def test_the_error_of_the_model_over_episodes(results):
-    section = built("Figure 8", results)
+    section = build_section(results, "model_learning")
     whole, judged, *_ = picture(section).figure.axes[0].lines
     np.testing.assert_allclose(whole.get_ydata(), [5.0 * 0.1**k for k in range(1, 7)])
     np.testing.assert_allclose(judged.get_ydata(), [0.1**k for k in range(1, 7)])
@@ -121,11 +116,11 @@ def test_the_error_of_the_model_over_episodes(results):
 
 
 def test_states_and_coefficients_are_judged_by_their_numbers(results):
-    before, after = (built(f"Figure {number}:", results) for number in (9, 10))
+    before, after = (build_section(results, f"states_{when}") for when in ("before", "after"))
     assert [finding.verdict for finding in measured(before)] == [Verdict.HOLDS]
     # The states of the excitation are sines, which no such model gives under its inputs.
     assert [finding.verdict for finding in measured(after)] == [Verdict.HOLDS, Verdict.SHORT]
-    section = built("Table 2", results)
+    section = build_section(results, "coefficients")
     assert [finding.verdict for finding in measured(section)] == [Verdict.HOLDS]
     (table,) = tables(section)
     cells = {(row[0], name): cell for row in table.rows for name, cell in zip(table.header[1:], row[1:])}
@@ -134,12 +129,12 @@ def test_states_and_coefficients_are_judged_by_their_numbers(results):
 
 
 def test_steps_and_waves_are_those_of_the_runs(results):
-    section = built("Figures 12", results)
+    section = build_section(results, "step")
     first, second, *_ = measured(section)
     assert numbers(first.ours) == [0.2, 400, 0.05, 800, 0.01]
     assert first.verdict is second.verdict is Verdict.HOLDS
-    for number in (14, 15):
-        (axis, _) = picture(built(f"Figure {number}:", results)).figure.axes
+    for shape in ("sine", "square"):
+        (axis, _) = picture(build_section(results, shape)).figure.axes
         lines = {line.get_label(): line.get_ydata() for line in axis.lines}
         np.testing.assert_allclose(lines["800 rollouts"] - lines["reference"], 0.01, atol=1e-12)
         np.testing.assert_allclose(lines["no planning"] - lines["reference"], 0.2, atol=1e-12)
@@ -148,8 +143,8 @@ def test_steps_and_waves_are_those_of_the_runs(results):
 @pytest.mark.parametrize(
     ("name", "section", "content"),
     [
-        *(("gate.csv", "Figure 8", text) for text in ("", "a,b\n1\n", "episode\nx\n", 'a\n"')),
-        *(("model.json", "Table 2", text) for text in ("", "{", "[]", "7", "\x00", "[" * 100_000)),
+        *(("gate.csv", "model_learning", text) for text in ("", "a,b\n1\n", "episode\nx\n", 'a\n"')),
+        *(("model.json", "coefficients", text) for text in ("", "{", "[]", "7", "\x00", "[" * 100_000)),
     ],
 )
 def test_a_damaged_file_of_a_saved_run_is_named(results, tmp_path, name, section, content):
@@ -157,4 +152,4 @@ def test_a_damaged_file_of_a_saved_run_is_named(results, tmp_path, name, section
     for run in (folder / "runs").iterdir():
         (run / name).write_text(content)
     with pytest.raises(DamagedFileError, match=name):
-        built(section, Results(folder, results.settings))
+        build_section(Results(folder, results.settings), section)
