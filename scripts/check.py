@@ -10,8 +10,7 @@ from cli import command
 @command("check")
 def main(cfg: Any) -> None:
     """Print the verdict, write figures and numbers, and end with 1 where the loop is not stable."""
-    from dynasindy.checking import ClosedLoop, Plant, Settings, check, check_verdict
-    from dynasindy.checking.closed_loop import step_for
+    from dynasindy.checking import ClosedLoop, Settings, check, check_verdict
     from dynasindy.checking.verdict import check_record, main_figures, unstable_targets
     from dynasindy.export.write import Exported
     from dynasindy.progress import say
@@ -28,8 +27,7 @@ def main(cfg: Any) -> None:
     names = ("points", "seconds", "reach", "grid", "draws", "seed")
     settings = Settings(**_range_and_start(cfg, run), **{name: cfg[name] for name in names})
     folder = output_folder(run, "check", cfg.folder)
-    step = step_for(given.model, given.controller.setup, given.step)
-    found = check(ClosedLoop(given.controller, Plant(given.model, given.controller.dt, step, given.stops)), settings)
+    found = check(ClosedLoop(given.controller, given.model), settings)
     findings = check_verdict(found)
     write_json(folder / "check.json", check_record(found, findings))
     metrics = folder.parent / "metrics.json"

@@ -348,7 +348,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         for row in track("margins", rows, len(rows), "targets")
     ]
     smooth = without_dry_friction(loop, rest, targets)
-    others, how = variants(loop.plant.model, settings.draws, settings.seed)
+    others, how = variants(loop.model, settings.draws, settings.seed)
     sensors = None if loop.observer is None else loop.observer.sensors
     noise = torch.zeros(loop.signature.n_x) if sensors is None else sensors.variance(loop.signature).double()
     drawn, phase = None, "steps of plants that differ from the model"
@@ -407,8 +407,8 @@ def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: Resti
         start[..., a] += scale[a] * axis.unsqueeze(1)
         start[..., b] += scale[b] * axis
     flat = starts.flatten(0, -2)
-    if loop.plant.stops is not None:
-        flat = loop.plant.stops.apply(flat)[0]
+    if loop.stops is not None:
+        flat = loop.stops.apply(flat)[0]
     flat = torch.cat([flat, x.to(flat).unsqueeze(0)])
     flights = simulate_loop(loop, flat, r.expand(len(flat), -1), seconds, "recovery from initial errors")
     left = replace(flights, r=flights.end[-1:]).steady_error  # from there, not from the target

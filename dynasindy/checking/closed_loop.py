@@ -18,8 +18,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import NamedTuple
 
 import torch
@@ -29,16 +28,20 @@ from dynasindy.control import Controller
 from dynasindy.control.controller import ControlLaw, ControlSetup, Memory
 from dynasindy.sensing.observer import Belief
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Signature, Stops, integrate, steps_needed
+from dynasindy.systems import Signature, integrate, steps_needed
 from dynasindy.systems.steps import Rates, split_delay
 
 FINE = 1e-6
 """How far from each other a control period and one of steps half as long may end [ranges of a state]."""
 TRIED, AROUND = 256, 2.0
 """States, drawn at random, whose periods are compared, and how far from zero they may be [ranges of a state]."""
+FINEST = 0.01
+"""A Runge-Kutta step that is short enough for whatever moves, as those of the controller are [s]."""
+SETTLED = 600
+"""Control periods after which the covariance of the observer is taken as steady."""
 
 
-def step_for(model: SindyModel, setup: ControlSetup, finest: float) -> float:
+def longest_step(model: SindyModel, setup: ControlSetup, finest: float = FINEST) -> float:
     """Return the longest Runge-Kutta step by which a model is moved well [s]: a shorter one ends periods where it does.
 
     Args:
@@ -54,63 +57,10 @@ def step_for(model: SindyModel, setup: ControlSetup, finest: float) -> float:
     )
     low, high = setup.task.input_limits.double()
     x, u = AROUND * size * x, low + (high - low) * (u + 1) / 2
-    number, _ = steps_needed(model, x, u, setup.dt, max(1, setup.substeps), setup.stops, FINE)
-    return min(finest, setup.dt) if number is None else max(min(finest, setup.dt), setup.dt / number)
-
-
-@dataclass(frozen=True)
-class Plant:
-    """A model that is moved on by one control period at a time, its inputs as late as it says.
-
-    Attributes:
-        model: The identified model.
-        dt: Control period [s].
-        step: Longest Runge-Kutta step [s].
-        stops: Mechanical stops, if any.
-        coefficients: Xi of each row of a batch, `(rows, n_features, n_x)`; None for those of the model.
-    """
-
-    model: SindyModel
-    dt: float
-    step: float
-    stops: Stops | None = None
-    coefficients: Tensor | None = None
-
-    @property
-    def late(self) -> tuple[int, float]:
-        """Delay of the inputs, in whole control periods and the rest [s]."""
-        return split_delay(self.model.delay, self.dt)
-
-    @property
-    def pending(self) -> int:
-        """How many inputs of earlier periods still have to act."""
-        whole, rest = self.late
-        return whole + (rest > 0)
-
-    def rates(self, x: Tensor, u: Tensor) -> Tensor:
-        """Return dx/dt, `(rows, n_x)` or `(rows, n, n_x)`, of as many states under inputs that act."""
-        if self.coefficients is None:
-            dx: Tensor = self.model(x, u)
-            return dx
-        theta, xi = self.model.library(x, u), self.coefficients
-        return (theta.unsqueeze(1) @ xi).squeeze(1) if theta.dim() == 2 else theta @ xi
-
-    def period(self, x: Tensor, inputs: Tensor) -> Tensor:
-        """Return the states one control period later.
-
-        Args:
-            x: States, `(*batch, n_x)`.
-            inputs: Inputs of earlier periods that are pending and that of this one, `(*batch, pending + 1, n_u)`.
-        """
-        whole, rest = self.late
-        if rest:
-            x = self._flow(x, inputs[..., -whole - 2, :], rest)
-        return self._flow(x, inputs[..., -whole - 1, :], self.dt - rest)
-
-    def _flow(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
-        steps = max(1, math.ceil(seconds / self.step - 1e-6))
-        rates = Rates(self.rates, self.model.step)
-        return integrate(rates, x, u, seconds, steps, self.stops)[0][..., -1, :]
+    substeps = max(1, setup.substeps)
+    finest = min(finest, setup.dt / substeps)
+    number, _ = steps_needed(model, x, u, setup.dt, substeps, setup.stops, FINE)
+    return finest if number is None else max(finest, setup.dt / number)
 
 
 class _Moved(NamedTuple):
@@ -122,28 +72,51 @@ class _Moved(NamedTuple):
 
 
 class ClosedLoop:
-    """A controller that holds a plant, without a clock: what `Controller.act` does, for many rows at a time.
+    """A controller that holds a model, without a clock: what `Controller.act` does, for many rows at a time.
 
     Args:
-        controller: The controller; it is not changed.
-        plant: What it holds.
+        controller: The controller, whose task, control period and stops are meant; it is not changed.
+        model: The identified model, in the place of the plant; its inputs act as late as it says.
+        step: Longest Runge-Kutta step of the model [s]; as long as its movements allow if omitted.
+
+    Attributes:
+        parts: Where each part of z stands.
+        scale: Range of each number of z, `(n,)`.
+        pending: How many inputs of earlier periods still have to act.
 
     Raises:
         ValueError: Controller and model have other states or inputs.
     """
 
-    def __init__(self, controller: Controller, plant: Plant) -> None:
-        if not plant.model.signature.alike(controller.signature):
+    def __init__(self, controller: Controller, model: SindyModel, step: float | None = None) -> None:
+        if not model.signature.alike(controller.signature):
             raise ValueError("the model has other states, units or inputs than the controller; give that of its run")
-        self.controller, self.plant, self.task = controller, plant, controller.setup.task
+        self.controller, self.model, self.task = controller, model, controller.setup.task
+        self.stops, self.observer = controller.setup.stops, controller.observer
+        self.longest = longest_step(model, controller.setup) if step is None else step
+        self.coefficients: Tensor | None = None
+        self._late = split_delay(model.delay, self.dt)
+        self.pending = self._late[0] + (self._late[1] > 0)
         # Differences of a step in single precision would be rounding, and little else.
         policy = copy.deepcopy(controller.policy)
         policy = policy.double() if isinstance(policy, torch.nn.Module) else policy
-        self.observer = controller.observer
         self.law = ControlLaw(policy, controller.setup, self.observer, controller.integral, torch.float64)
-        self.parts = self._layout()
-        self.size = max(part.stop for part in self.parts.values())
-        self.scale = self._scale()
+        scales = {name: scale for name, scale in self._scales().items() if len(scale)}
+        ends = list(accumulate(map(len, scales.values()), initial=0))
+        self.parts = {name: slice(*ends[k : k + 2]) for k, name in enumerate(scales)}
+        self.size, self.scale = ends[-1], torch.cat([*scales.values()])
+
+    def _scales(self) -> dict[str, Tensor]:
+        """Return the parts of z, each as the ranges of its numbers."""
+        ranges, n_u = torch.tensor(self.signature.x_scale, dtype=torch.float64), self.signature.n_u
+        late = 0 if self.observer is None else self.observer.sensors.delay
+        scales = {"x": ranges, "late": ranges.repeat(late), "pending": torch.ones(self.pending * n_u).double()}
+        for name, shape in zip(Memory._fields, self.law.shapes, strict=True):
+            if name != "covariance":
+                scales[name] = torch.ones(math.prod(shape), dtype=torch.float64)
+        scales["shift"][: len(ranges)] = ranges[: len(scales["shift"])]
+        scales["integral"] *= self.task.error_scale
+        return scales if self.observer is None else scales | {"mean": self.observer.scale.double()}
 
     @property
     def signature(self) -> Signature:
@@ -162,13 +135,12 @@ class ClosedLoop:
             coefficients: Xi of each plant, `(rows, n_features, n_x)`.
         """
         other = copy.copy(self)
-        other.plant = replace(self.plant, coefficients=coefficients)
+        other.coefficients = coefficients
         return other
 
     def rows(self, index: Tensor) -> ClosedLoop:
         """Return the loop with some of its plants, if it has several."""
-        xi = self.plant.coefficients
-        return self if xi is None else self.varied(xi[index])
+        return self if self.coefficients is None else self.varied(self.coefficients[index])
 
     def at(self, x: Tensor, u: Tensor) -> Tensor:
         """Return the vector of a loop that has been in a state under an input for long, and knows it, `(*batch, n)`."""
@@ -193,19 +165,21 @@ class ClosedLoop:
         return self.observer.begin(self._measured(z)).covariance.clone()
 
     @torch.no_grad()
-    def watched(self, z: Tensor) -> Callable[[Tensor], Tensor]:
-        """Return what a control period makes of a covariance of the observer, `(*batch, n_o, n_o)`, if nothing moves.
-
-        Args:
-            z: Vectors of the loop that stay, `(*batch, n)`.
-        """
-        assert self.observer is not None, "without an observer nothing is watched"
+    def steady_covariance(self, z: Tensor) -> Tensor:
+        """Return the covariance of the observer where z stays and nothing is lost, `(*batch, n_o, n_o)`."""
+        covariance = self.uncertain(z)
+        if self.observer is None:
+            return covariance
         observer, y, mean = self.observer, self._measured(z), z[..., self.parts["mean"]]
         inputs = z[..., self.parts["inputs"]].unflatten(-1, (-1, self.signature.n_u))
-        ahead, slopes = observer.transition(mean, inputs)
-        return lambda covariance: (
-            observer.correct(observer.carried(Belief(mean, covariance), ahead, slopes), y)[0].covariance
-        )
+        ahead, slopes = observer.transition(mean, inputs)  # once: where nothing moves, the slopes stay as they are
+        for _ in range(SETTLED):
+            before = covariance
+            covariance = observer.correct(observer.carried(Belief(mean, before), ahead, slopes), y)[0].covariance
+            size = covariance.diagonal(dim1=-2, dim2=-1).unsqueeze(-1)
+            if bool(((covariance - before).abs() < 1e-9 * size).all()):
+                break
+        return covariance
 
     @torch.no_grad()
     def step(
@@ -231,7 +205,7 @@ class ClosedLoop:
         u, memory = self.law.step(Memory(covariance=shared, **held), y + noise, r)
         waiting = torch.cat([z[..., self.parts.get("pending", slice(0, 0))], u + extra], -1)
         moved = {
-            "x": self.plant.period(x, waiting.unflatten(-1, (-1, u.shape[-1]))),
+            "x": self.move(x, waiting.unflatten(-1, (-1, u.shape[-1]))),
             "late": torch.cat([z[..., self.parts.get("late", slice(0, 0))], x], -1)[..., x.shape[-1] :],
             "pending": waiting[..., u.shape[-1] :],
             **{name: getattr(memory, name).flatten(z.dim() - 1) for name in held},
@@ -243,29 +217,27 @@ class ClosedLoop:
         part = self.parts.get("late", self.parts["x"])
         return z[..., part.start : part.start + self.signature.n_x]
 
-    def _layout(self) -> dict[str, slice]:
-        n_x, n_u = self.signature.n_x, self.signature.n_u
-        late = 0 if self.observer is None else self.observer.sensors.delay
-        sizes = {"x": n_x, "late": late * n_x, "pending": self.plant.pending * n_u}
-        sizes |= {name: math.prod(shape) for name, shape in zip(Memory._fields, self.law.shapes, strict=True)}
-        del sizes["covariance"]
-        parts, start = {}, 0
-        for name, size in sizes.items():
-            if size:
-                parts[name] = slice(start, start + size)
-                start += size
-        return parts
+    def move(self, x: Tensor, inputs: Tensor) -> Tensor:
+        """Return the states of the model one control period later.
 
-    def _scale(self) -> Tensor:
-        """Return the range of each number of z, `(n,)`."""
-        ranges = torch.tensor(self.signature.x_scale, dtype=torch.float64)
-        scale = torch.ones(self.size, dtype=torch.float64)
-        for name in ("x", "late", "shift"):
-            if part := self.parts.get(name):
-                count = (part.stop - part.start) // len(ranges)
-                scale[part.start : part.start + count * len(ranges)] = ranges.repeat(count)
-        if self.observer is not None:
-            scale[self.parts["mean"]] = self.observer.scale
-        if part := self.parts.get("integral"):
-            scale[part] = self.task.error_scale
-        return scale
+        Args:
+            x: States, `(*batch, n_x)`.
+            inputs: Inputs of earlier periods that are pending and that of this one, `(*batch, pending + 1, n_u)`.
+        """
+        whole, rest = self._late
+        if rest:
+            x = self._flow(x, inputs[..., -whole - 2, :], rest)
+        return self._flow(x, inputs[..., -whole - 1, :], self.dt - rest)
+
+    def _flow(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
+        steps = max(1, math.ceil(seconds / self.longest - 1e-6))
+        rates = Rates(self._rates, self.model.step)
+        return integrate(rates, x, u, seconds, steps, self.stops)[0][..., -1, :]
+
+    def _rates(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt, `(rows, n_x)` or `(rows, n, n_x)`, of as many states under inputs that act."""
+        if self.coefficients is None:
+            dx: Tensor = self.model(x, u)
+            return dx
+        theta, xi = self.model.library(x, u), self.coefficients
+        return (theta.unsqueeze(1) @ xi).squeeze(1) if theta.dim() == 2 else theta @ xi

@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -30,9 +31,6 @@ LAST = 2.0
 """Longest end of a run in which its steady error is read [s]."""
 SHARE = 0.25
 """Largest share of a run that it takes: a fast plant is flown for less than `LAST`, and its way is no steady error."""
-SETTLED = 600
-"""Control periods after which the covariance of the observer is taken as steady."""
-
 Array = NDArray[np.float64]
 
 BOUNDLESS = 1e3
@@ -41,22 +39,21 @@ RESTS = "where the loop rests"
 """What is under way, in words."""
 
 
-@dataclass(frozen=True)
-class Linear:
+class Linear(NamedTuple):
     """Linear closed loops, one per row.
 
     Attributes:
+        dt: Control period [s].
         a, b, c: From z and added inputs to z and commands, `(rows, n, n)`, `(rows, n, n_u)`, `(rows, n_u, n)`.
         e, f: From noise of each state's measurement to z and commands, `(rows, n, n_x)`, `(rows, n_u, n_x)`.
-        dt: Control period [s].
     """
 
+    dt: float
     a: Array
     b: Array
     c: Array
     e: Array
     f: Array
-    dt: float
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
@@ -71,16 +68,14 @@ class Linear:
 
     def finite(self) -> Linear:
         """Return the same with 0 for what is not finite: a plant that runs away has no slope."""
-        a, b, c, e, f = (np.nan_to_num(m, posinf=0.0, neginf=0.0) for m in (self.a, self.b, self.c, self.e, self.f))
-        return Linear(a, b, c, e, f, self.dt)
+        return Linear(self.dt, *(np.nan_to_num(matrix, posinf=0.0, neginf=0.0) for matrix in self[1:]))
 
     def row(self, k: int | NDArray[np.bool_] | NDArray[np.int64]) -> Linear:
         """Return one loop, its matrices without the dimension of rows, or several, by places or bool."""
-        return Linear(self.a[k], self.b[k], self.c[k], self.e[k], self.f[k], self.dt)
+        return Linear(self.dt, *(matrix[k] for matrix in self[1:]))
 
 
-@dataclass(frozen=True)
-class RestingLoop:
+class RestingLoop(NamedTuple):
     """Where loops rest, one per row.
 
     Attributes:
@@ -107,10 +102,8 @@ class RestingLoop:
 
     def select(self, rows: Tensor) -> RestingLoop:
         """Return some rows, by their places or bool `(rows,)`."""
-        picked = self.linear.row(rows.numpy())
-        return RestingLoop(
-            self.z[rows], self.covariance[rows], self.u[rows], self.still[rows], self.error[rows], picked
-        )
+        *kept, linear = self
+        return RestingLoop(*(each[rows] for each in kept), linear.row(rows.numpy()))
 
 
 def guess_rest(loop: ClosedLoop, r: Tensor) -> Tensor:
@@ -123,26 +116,11 @@ def guess_rest(loop: ClosedLoop, r: Tensor) -> Tensor:
     x[:, loop.task.outputs] = r
     # Inputs beyond their limits are cut off below: near enough to begin from.
     limits = torch.tensor([[-BOUNDLESS], [BOUNDLESS]]).expand(-1, n_u)
-    found = find_equilibria(loop.plant.model, loop.task.outputs, r, torch.zeros(n_x), loop.dt, limits)
+    found = find_equilibria(loop.model, loop.task.outputs, r, torch.zeros(n_x), loop.dt, limits)
     for target, state, command in zip(found.targets, found.x, found.u, strict=True):
         same = (r == target).all(-1)
         x[same], u[same] = state, command
     return loop.at(x, loop.task.limit(u))
-
-
-@torch.no_grad()
-def _covariance_at(loop: ClosedLoop, z: Tensor) -> Tensor:
-    """Return the covariance of the observer where the plant stays at `z` and nothing is lost, `(*batch, n_o, n_o)`."""
-    covariance = loop.uncertain(z)
-    if loop.observer is None:
-        return covariance
-    watched = loop.watched(z)  # once: where nothing moves, the slopes of the observer's model stay as they are
-    for _ in range(SETTLED):
-        before, covariance = covariance, watched(covariance)
-        size = covariance.diagonal(dim1=-2, dim2=-1).unsqueeze(-1)
-        if bool(((covariance - before).abs() < 1e-9 * size).all()):
-            break
-    return covariance
 
 
 def _linearise(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Linear, Tensor, Tensor]:
@@ -165,7 +143,7 @@ def _linearise(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tu
     a, b, e = np.split(slopes[:, :n], [n, n + n_u], -1)
     c, _, f = np.split(slopes[:, n:], [n, n + n_u], -1)
     assert e.shape[-1] == n_x
-    return Linear(a, b, c, e, f, loop.dt), centre[:, 0, :n] - z, centre[:, 0, n:]
+    return Linear(loop.dt, a, b, c, e, f), centre[:, 0, :n] - z, centre[:, 0, n:]
 
 
 def without_dry_friction(loop: ClosedLoop, rest: RestingLoop, r: Tensor) -> Linear | None:
@@ -179,7 +157,7 @@ def without_dry_friction(loop: ClosedLoop, rest: RestingLoop, r: Tensor) -> Line
     Returns:
         The linear loops; None of a plant whose equations have no kink that is steep at rest only.
     """
-    model = loop.plant.model
+    model = loop.model
     rubs = torch.tensor([any(factor.function == "tanh" for factor in each.factors) for each in model.library.features])
     if not bool(model.coefficients[rubs].any()):
         return None
@@ -198,7 +176,7 @@ def find_rest(loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, sec
     """
     r = r.double()
     z = guess_rest(loop, r) if start is None else start.z
-    covariance = _covariance_at(loop, z) if start is None else start.covariance
+    covariance = loop.steady_covariance(z) if start is None else start.covariance
     found, still = _newton(loop, z, covariance, r)
     linear, _, u = _linearise(loop, found, covariance, r)
     stable = torch.from_numpy(linear.finite().radius < 1)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from dynasindy.agents.networks import actor
-from dynasindy.checking.closed_loop import ClosedLoop, Plant
+from dynasindy.checking.closed_loop import ClosedLoop
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
 from dynasindy.sensing import Observer, Sensors
@@ -50,12 +50,12 @@ def watching(model, setup, **settings):
     return observer
 
 
-def loop_of(law=None, model=None, observer=None, integral=None, stops=None):
+def loop_of(law=None, model=None, observer=None, integral=None, stops=None, dt=DT, step=DT / 2):
     model = model or cart()
-    setup = ControlSetup(task_of(), DT, 2, stops)
+    setup = ControlSetup(task_of(), dt, 2, stops)
     seeing = None if observer is None else watching(model, setup, **observer)
     controller = Controller(law or Law(2.0, 2.5), setup, seeing, integral)
-    return ClosedLoop(controller, Plant(model, DT, DT / 2, stops))
+    return ClosedLoop(controller, model, step)
 
 
 def network_loop(delay=0.07, disturbance=True, late=1, integral=None):
@@ -66,7 +66,7 @@ def network_loop(delay=0.07, disturbance=True, late=1, integral=None):
         torch.manual_seed(4)
         policy = actor(setup.task.n_o, 1, (8, 5)).requires_grad_(False)
     seeing = watching(model, setup, delay=late, disturbance=disturbance)
-    return ClosedLoop(Controller(policy, setup, seeing, integral), Plant(model, 0.04, 0.04 / 3, setup.stops))
+    return ClosedLoop(Controller(policy, setup, seeing, integral), model, 0.04 / 3)
 
 
 @pytest.fixture(scope="session")

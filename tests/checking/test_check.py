@@ -9,7 +9,7 @@ import torch
 from omegaconf import OmegaConf
 
 from dynasindy.checking.check import Settings, check
-from dynasindy.checking.closed_loop import ClosedLoop, Plant
+from dynasindy.checking.closed_loop import ClosedLoop
 from dynasindy.checking.verdict import check_record
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
@@ -147,7 +147,7 @@ def side_by_side(*names):
     sensors = Sensors({output: {"noise": 0.01} for output in outputs}, rates={f"p_{k}": f"v_{k}" for k in names})
     observer = Observer(model, sensors, setup)
     observer.load_state_dict({"process_noise": [0.01, 0.05] * n, "nis": 1.0})
-    return ClosedLoop(Controller(law, setup, observer, None), Plant(model, 0.1, 0.05, None))
+    return ClosedLoop(Controller(law, setup, observer, None), model, 0.05)
 
 
 def test_carts_on_rails_of_their_own_are_judged_together_as_each_alone():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.closed_loop import FINE, Plant, step_for
+from dynasindy.checking.closed_loop import FINE, longest_step
 from dynasindy.control.controller import ControlSetup
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops, integrate
@@ -14,12 +14,12 @@ from dynasindy.systems import Stops, integrate
 
 def flown(loop, x, r, periods):
     """Fly the model with the controller itself; inputs and measurements wait in lists."""
-    controller, plant = loop.controller, loop.plant
+    controller, model, dt = loop.controller, loop.model, loop.dt
     controller.reset()
     late = 0 if loop.observer is None else loop.observer.sensors.delay
     states, inputs = [x], []
-    whole = int(plant.model.delay / plant.dt)
-    rest = plant.model.delay - whole * plant.dt
+    whole = int(model.delay / dt)
+    rest = model.delay - whole * dt
 
     def acted(k):
         return torch.zeros(1, dtype=torch.float64) if k < 0 else inputs[k]
@@ -28,9 +28,9 @@ def flown(loop, x, r, periods):
         y = states[max(0, k - late)]
         inputs.append(torch.from_numpy(controller.act(y.numpy(), r)))
         x = states[-1]
-        for u, seconds in ((acted(k - whole - 1), rest), (acted(k - whole), plant.dt - rest)):
+        for u, seconds in ((acted(k - whole - 1), rest), (acted(k - whole), dt - rest)):
             if seconds:
-                x = integrate(plant.model, x, u, seconds, 20, plant.stops)[0][-1]
+                x = integrate(model, x, u, seconds, 20, loop.stops)[0][-1]
         states.append(x)
     return torch.stack(states), torch.stack(inputs)
 
@@ -98,7 +98,7 @@ def test_what_is_added_reaches_the_plant_and_noise_the_controller(loops):
 
 def test_rows_may_have_coefficients_of_their_own(loops):
     loop = loops()
-    xi = torch.stack([loop.plant.model.coefficients, 3 * loop.plant.model.coefficients])
+    xi = torch.stack([loop.model.coefficients, 3 * loop.model.coefficients])
     z = torch.tensor([[0.4, 0.1]] * 2, dtype=torch.float64)
     moved = loop.varied(xi).step(z, loop.uncertain(z), torch.zeros(2, 1))
     u = -2 * 0.4 - 2.5 * 0.1
@@ -118,20 +118,19 @@ def test_a_loop_at_rest_knows_where_it_is(networks):
     np.testing.assert_allclose(moved.z[0, loop.parts["mean"]], [0.25, 0, 0], atol=1e-7)
 
 
-def test_stops_hold(carts):
-    plant = Plant(carts(), 0.1, 0.05, Stops((0,), (1,), (-1.0,), (0.5,)))
-    x = plant.period(torch.tensor([[0.45, 2.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
+def test_stops_hold(loops):
+    x = loops(stops=Stops((0,), (1,), (-1.0,), (0.5,))).move(torch.tensor([[0.45, 2.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
     assert x[0].tolist() == [0.5, 0.0]
 
 
 @pytest.mark.parametrize("spring", [1e-4, 1.0, 100.0, 1e6])
-def test_the_step_is_as_long_as_the_plant_allows(carts, tasks, spring):
+def test_the_step_is_as_long_as_the_plant_allows(carts, loops, tasks, spring):
     """A spring that takes minutes is passed in one step of 2 s, and ends where its cosine does, as does a fast one."""
     model, dt, finest = carts(spring=spring), 2.0, 0.01
-    step = step_for(model, ControlSetup(tasks(), dt), finest)
+    step = longest_step(model, ControlSetup(tasks(), dt), finest)
     assert (step == dt) == (spring == 1e-4) and step >= finest and (step == finest) == (spring > 1.0)
     if spring < 1e6:
-        x = Plant(model, dt, step).period(torch.tensor([[1.0, 0.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
+        x = loops(model=model, dt=dt, step=step).move(torch.tensor([[1.0, 0.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
         omega = math.sqrt(spring)
         assert x[0, 0].item() == pytest.approx(math.cos(omega * dt), abs=FINE if spring < 100 else 1e-4)
 
@@ -141,16 +140,16 @@ def test_the_step_is_short_where_only_large_movements_or_inputs_make_the_plant_f
     """v' = -3 v^3 has a rate of 9 v^2, up to 324 per second at 6 m/s; v' = -30 u v one of 30 per second."""
     model = SindyModel(carts().signature, ["v", function], known={"p": "v"})
     model.set_coefficients(torch.tensor([[1.0, 0.0], [0.0, -3.0 if function == "v^3" else -30.0]], dtype=torch.float64))
-    assert step_for(model, ControlSetup(tasks(), 0.1), 0.001) < 0.1
+    assert longest_step(model, ControlSetup(tasks(), 0.1), 0.001) < 0.1
 
 
 @pytest.mark.parametrize(("delay", "pending"), [(0.0, 0), (0.1, 1), (0.3, 2)])
-def test_a_difference_equation_moves_by_its_own_steps_however_long_those_of_the_plant_are(carts, delay, pending):
+def test_a_difference_equation_moves_by_its_own_steps_however_long_those_of_the_plant_are(carts, loops, delay, pending):
     """p += 0.1 v, v += 0.1 (u - 0.5 v - 4 p), two of its steps in a period, inputs late by 0, 1 and 3 of them."""
-    plant = Plant(carts(delay, 0.5, 4.0, step=0.1), 0.2, 0.03)
-    assert plant.pending == pending
+    loop = loops(model=carts(delay, 0.5, 4.0, step=0.1), dt=0.2, step=0.03)
+    assert loop.pending == pending
     inputs, x = np.array([1.0, 2.0, 3.0])[-1 - pending :], np.array([0.3, -0.2])
-    found = plant.period(torch.from_numpy(x)[None], torch.from_numpy(inputs).reshape(1, -1, 1))
+    found = loop.move(torch.from_numpy(x)[None], torch.from_numpy(inputs).reshape(1, -1, 1))
     late = round(delay / 0.1)
     for u in np.repeat(inputs, 2)[len(inputs) * 2 - 2 - late :][:2]:
         x = np.array([[1.0, 0.1], [-0.4, 0.95]]) @ x + np.array([0.0, 0.1]) * u

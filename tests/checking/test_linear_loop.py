@@ -12,7 +12,6 @@ from dynasindy.checking import check_verdict
 from dynasindy.checking.check import Settings, check
 from dynasindy.checking.linear_loop import (
     Linear,
-    _covariance_at,
     find_rest,
     loop_margins,
     noise_gain,
@@ -59,7 +58,7 @@ def test_a_loop_with_an_observer_has_the_eigenvalues_of_law_and_filter(loops):
     values = found.linear.eigenvalues[0]
     np.testing.assert_allclose(np.sort_complex(values[np.abs(values) > 1e-3]), expected, atol=1e-6)
     posterior = prior - gain * prior[:1]
-    np.testing.assert_allclose(_covariance_at(loop, found.z)[0], posterior, rtol=1e-5)
+    np.testing.assert_allclose(loop.steady_covariance(found.z)[0], posterior, rtol=1e-5)
 
 
 @pytest.mark.parametrize("k_v", [2.5, 9.0, 20.15, 20.25])
@@ -128,7 +127,7 @@ DT = 0.1
 def closed(a, b, k):
     """Return the loop of u = -k x."""
     n = len(a)
-    return Linear(a - b @ k, b, -k, np.zeros((n, n)), np.zeros((b.shape[1], n)), DT)
+    return Linear(DT, a - b @ k, b, -k, np.zeros((n, n)), np.zeros((b.shape[1], n)))
 
 
 def lqr(a, b, q, r):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking import Check, ClosedLoop, Plant, Settings, Thresholds, check
+from dynasindy.checking import Check, ClosedLoop, Settings, Thresholds, check
 from dynasindy.checking.linear_loop import frequencies, open_loop_response
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
@@ -26,7 +26,7 @@ def held_cart(draws: int) -> Check:
     model = SindyModel(CART, ["force", "v"], known={"p": "v"})
     model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, 0.0]], dtype=torch.float64))
     task = Tracking(CART, Step([[0.0]]), ["p"], ["v"], TrackingReward((1.0,)))
-    loop = ClosedLoop(Controller(law, ControlSetup(task, 0.1, 2, None)), Plant(model, 0.1, 0.05, None))
+    loop = ClosedLoop(Controller(law, ControlSetup(task, 0.1, 2, None)), model, 0.05)
     return check(loop, Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=draws))
 
 
@@ -59,7 +59,7 @@ def held_pair() -> Check:
     model = SindyModel(pair, ["u", "v"])
     model.set_coefficients(torch.eye(2, dtype=torch.float64))
     task = Tracking(pair, Step([[0.0, 0.0]]), ["a", "b"], [], TrackingReward((1.0, 1.0)))
-    loop = ClosedLoop(Controller(law, ControlSetup(task, 0.1, 2, None)), Plant(model, 0.1, 0.05, None))
+    loop = ClosedLoop(Controller(law, ControlSetup(task, 0.1, 2, None)), model, 0.05)
     return check(loop, Settings((-0.4, -0.2), (0.4, 0.2), points=3, seconds=5.0, grid=3, draws=0))
 
 
