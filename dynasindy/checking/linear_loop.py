@@ -102,8 +102,8 @@ class RestingLoop(NamedTuple):
 
     def select(self, rows: Tensor) -> RestingLoop:
         """Return some rows, by their places or bool `(rows,)`."""
-        *kept, linear = self
-        return RestingLoop(*(each[rows] for each in kept), linear.row(rows.numpy()))
+        z, covariance, u, still, error = (each[rows] for each in self[:-1])
+        return RestingLoop(z, covariance, u, still, error, self.linear.row(rows.numpy()))
 
 
 def guess_rest(loop: ClosedLoop, r: Tensor) -> Tensor:

@@ -119,7 +119,8 @@ def test_a_loop_at_rest_knows_where_it_is(networks):
 
 
 def test_stops_hold(loops):
-    x = loops(stops=Stops((0,), (1,), (-1.0,), (0.5,))).move(torch.tensor([[0.45, 2.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
+    loop = loops(stops=Stops((0,), (1,), (-1.0,), (0.5,)))
+    x = loop.move(torch.tensor([[0.45, 2.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
     assert x[0].tolist() == [0.5, 0.0]
 
 
@@ -130,7 +131,8 @@ def test_the_step_is_as_long_as_the_plant_allows(carts, loops, tasks, spring):
     step = longest_step(model, ControlSetup(tasks(), dt), finest)
     assert (step == dt) == (spring == 1e-4) and step >= finest and (step == finest) == (spring > 1.0)
     if spring < 1e6:
-        x = loops(model=model, dt=dt, step=step).move(torch.tensor([[1.0, 0.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
+        start, loop = torch.tensor([[1.0, 0.0]], dtype=torch.float64), loops(model=model, dt=dt, step=step)
+        x = loop.move(start, torch.zeros(1, 1, 1))
         omega = math.sqrt(spring)
         assert x[0, 0].item() == pytest.approx(math.cos(omega * dt), abs=FINE if spring < 100 else 1e-4)
 
