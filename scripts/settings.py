@@ -33,7 +33,7 @@ from typing_extensions import TypedDict
 
 from dynasindy.identification.source import DataSource
 from dynasindy.sindy import WorldModel
-from dynasindy.sindy.functions import register_formula
+from dynasindy.sindy.functions import register_function
 from dynasindy.systems import System
 from dynasindy.tasks.references import Signal
 
@@ -114,7 +114,7 @@ def check(cfg: DictConfig, file: str = "") -> None:
             if repr(fit) != repr(value):  # 10 equals 10.0
                 OmegaConf.update(cfg, key, fit, merge=False)
         for name, formula in ((tree.get("plant") or {}).get("functions") or {}).items():
-            register_formula(name, formula)  # of the user's own, which the library of the plant may hold
+            register_function(name, formula)  # of the user's own, which the library of the plant may hold
     except InterpolationToMissingValueError:  # a log's config names no plant yet, and the command says which there are
         return
     except InterpolationResolutionError as error:

@@ -103,7 +103,7 @@ def model_sources(model: SindyModel, name: str = "model") -> Sources:
         Header and source of the model in C.
 
     Raises:
-        ValueError: The name is none, or the model has a function without a formula.
+        ValueError: The name is none.
     """
     name, signature, found = module_name(name), model.signature, right_sides(model)
     kind, result = ("dx/dt = f(x, u)", "dx") if model.step is None else ("x[k+1] = F(x[k], u[k])", "next")

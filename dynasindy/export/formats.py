@@ -15,11 +15,7 @@ from dynasindy.systems.machine import Program
 
 
 def casadi_source(model: SindyModel) -> str:
-    """Write a model as a Python file that needs CasADi alone: `field(x, u)`, and `function()` of CasADi.
-
-    Raises:
-        ValueError: The model has a function without a formula.
-    """
+    """Write a model as a Python file that needs CasADi alone: `field(x, u)`, and `function()` of CasADi."""
     signature = model.signature
     kind, word = ("dx/dt = f(x, u)", "dx") if model.step is None else ("x[k+1] = F(x[k], u[k])", "next")
     step = "" if model.step is None else f"STEP = {model.step!r}  # seconds from x[k] to x[k+1]\n"
@@ -39,11 +35,7 @@ def casadi_source(model: SindyModel) -> str:
 
 
 def latex_source(model: SindyModel) -> str:
-    """Write the equations of a model as LaTeX, for a document with amsmath, numbers of five digits.
-
-    Raises:
-        ValueError: The model has a function without a formula.
-    """
+    """Write the equations of a model as LaTeX, for a document with amsmath, numbers of five digits."""
     from sympy import Symbol, latex, multiline_latex
 
     lines = [f"% Inputs act {model.delay!r} s after they are given."] if model.delay else []
@@ -60,9 +52,6 @@ def field_of(model: SindyModel, calls: Mapping[str, Any]) -> Callable[[Any, Any]
     Args:
         model: The model.
         calls: What is called for each of `dynasindy.systems.tangents.FORMULA_FUNCTIONS`.
-
-    Raises:
-        ValueError: The model has a function without a formula.
     """
     scope = dict(calls)
     # The text is made of numbers, places and the formulas of the library's functions: no word of a file is in it.

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from functools import cache, lru_cache
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from dynasindy.sindy.equations import require_finite
-from dynasindy.sindy.functions import function
+from dynasindy.sindy.functions import TORCH_FUNCTIONS, function
 from dynasindy.sindy.library import Factor, Library
 from dynasindy.systems.base import Signature
 from dynasindy.systems.integrators import moved
@@ -36,7 +35,7 @@ def generate(library: Library, coefficients: Tensor) -> Field:
         ValueError: the model has more functions than can be written.
     """
     writer = _TorchWriter(library, require_finite(library, coefficients))
-    source, scope = writer.source(), {"torch": torch, "constants": _constants(writer.constants), **writer.functions}
+    source, scope = writer.source(), {**TORCH_FUNCTIONS, "torch": torch, "constants": _constants(writer.constants)}
     exec(compile(source, "<field of a sparse model>", "exec"), scope)
     field: Field = scope["field"]
     field.__doc__ = source
@@ -64,9 +63,6 @@ class Writer:
     Attributes:
         lines: values, each written once, in the order in which they are computed.
         results: what is computed, in terms of these.
-
-    Raises:
-        ValueError: a function has no formula.
     """
 
     def __init__(self, signature: Signature) -> None:
@@ -115,16 +111,7 @@ class Writer:
         args = self._scaled(factor)
         if factor.function == "id":
             return args[0]
-        return self._line(factor, self._call(factor.function, args))
-
-    def _call(self, name: str, args: list[str]) -> str:
-        """Write an elementary function of arguments that are written."""
-        if not (formula := function(name).formula):
-            raise ValueError(
-                f"the model uses the function '{name}', which has no formula; give one: "
-                f"register_function('{name}', ..., formula='1 / (1 + square({{0}}))')"
-            )
-        return formula.format(*args)
+        return self._line(factor, function(factor.function).formula.format(*args))
 
     def _scaled(self, factor: Factor) -> list[str]:
         """Write the arguments of a factor's function."""
@@ -145,7 +132,7 @@ class InfixWriter(Writer):
         coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
 
     Raises:
-        ValueError: a function has no formula, or the model has too many terms.
+        ValueError: the model has too many terms.
     """
 
     def __init__(self, library: Library, coefficients: Tensor) -> None:
@@ -214,11 +201,7 @@ class InfixWriter(Writer):
 
 
 class _TorchWriter(InfixWriter):
-    """Write torch code, of functions without a formula, too, in as few operations as there can be."""
-
-    def __init__(self, library: Library, coefficients: Tensor) -> None:
-        self.functions: dict[str, Any] = {}
-        super().__init__(library, coefficients)
+    """Write torch code in as few operations as there can be."""
 
     def source(self) -> str:
         """Return the text of the function."""
@@ -231,10 +214,6 @@ class _TorchWriter(InfixWriter):
 
     def _variable(self, place: int) -> str:
         return f"z[{place}]"
-
-    def _call(self, name: str, args: list[str]) -> str:
-        self.functions[f"f_{name}"] = function(name).compute
-        return f"f_{name}({', '.join(args)})"
 
     def _zero(self) -> str:
         return "torch.zeros_like(z[0])"
@@ -254,7 +233,7 @@ def write_program(library: Library, coefficients: Tensor) -> Program:
         coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
 
     Raises:
-        ValueError: a function has no formula, or the model has too many terms.
+        ValueError: the model has too many terms.
     """
     return InfixWriter(library, coefficients).program(library.step)
 
@@ -295,7 +274,7 @@ def simulate(
         program = _program_of(library, tuple(coefficients.flatten().tolist()))
         return simulate_program(program, x, u, dt, substeps, u_end, update)
     except (ValueError, OSError):
-        pass  # a function has no formula, or there is no compiler
+        pass  # there is no compiler, or a model of too many terms
     return advance(generate(library, coefficients), x, u, dt, substeps, u_end, update)
 
 

@@ -95,7 +95,7 @@ def formulas(model: SindyModel) -> Program:
     """Return the rates of change of a model as formulas.
 
     Raises:
-        ValueError: The model has a function without a formula, or too many terms.
+        ValueError: The model has too many terms.
     """
     return _FormulaWriter(model.library, model.coefficients).program()
 
@@ -104,7 +104,7 @@ def right_sides(model: SindyModel) -> Program:
     """Return the right sides of the equations as formulas: rates of change, or of a difference equation next states.
 
     Raises:
-        ValueError: The model has a function without a formula, or too many terms.
+        ValueError: The model has too many terms.
     """
     return _FormulaWriter(*mapping(model.library, model.coefficients)).program()
 

@@ -1,20 +1,35 @@
-"""Elementary functions that libraries are made of: values, and how other languages write them."""
+"""Elementary functions that libraries are made of, as formulas that every language reads alike."""
 
 from __future__ import annotations
 
 import ast
 import math
-import operator
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import torch
 from torch import Tensor
 
 from dynasindy.safe_io import FileError
 from dynasindy.systems.tangents import FORMULA_FUNCTIONS, parsed
+
+LONGEST = 300
+"""Characters of a formula."""
+_ARGUMENT = "argument_"
+"""What stands for `{` and a digit while a formula is read."""
+_SIGNS: dict[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+
+
+def _called(compute: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """Return a torch function that takes numbers, too."""
+    return lambda *z: compute(*(v if torch.is_tensor(v) else torch.tensor(v, dtype=torch.float64) for v in z))
+
+
+TORCH_FUNCTIONS = {name: _called(getattr(torch, name)) for name in FORMULA_FUNCTIONS if hasattr(torch, name)}
+"""What formulas call, as torch computes it."""
+TORCH_FUNCTIONS |= {"fabs": _called(torch.abs), "larger": _called(torch.maximum)}
 
 
 @dataclass(frozen=True)
@@ -23,26 +38,30 @@ class Function:
 
     Attributes:
         name: name in tables and files, e.g. `sin`.
-        compute: torch function, elementwise in every argument.
-        text: format string of its value, e.g. `sin({0})`; `{0}` are its variables, `{1}` its number, and from `{2}` on
-            the variables one by one.
+        formula: format string of its value in operators, numbers and `FORMULA_FUNCTIONS`, which torch code and other
+            languages are written from.
+        text: format string of how it is written, e.g. `sin({0})`; `{0}` are its variables, `{1}` its number, and from
+            `{2}` on the variables one by one.
         parametric: whether the number of a factor is the last argument, and not what the others are multiplied by.
-        formula: format string of its value in operators, numbers and `FORMULA_FUNCTIONS`, which other languages than
-            torch are written from; empty where there is none.
-        given: formula of a function of a user's own as it was given, which files hold; empty where there is none.
     """
 
     name: str
-    compute: Callable[..., Tensor]
+    formula: str
     text: str
     parametric: bool = False
-    formula: str = ""
-    given: str = ""
 
     @property
-    def n_variables(self) -> int | None:
-        """Return how many variables a function of a user's formula takes; None where no formula tells."""
-        return len(set(re.findall(r"\{\d\}", self.given))) or None
+    def n_variables(self) -> int:
+        """Return how many variables it takes."""
+        return len(set(re.findall(r"\{\d\}", self.formula))) - self.parametric
+
+    @cached_property
+    def compute(self) -> Callable[..., Tensor]:
+        """Its values by torch, elementwise in every argument."""
+        names = [f"z{k}" for k in range(self.n_variables + self.parametric)]
+        # Formulas are our own, or written anew from the tree of one that was given, see `_read`.
+        call: Callable[..., Tensor] = eval(f"lambda {', '.join(names)}: {self.formula.format(*names)}", TORCH_FUNCTIONS)
+        return call
 
 
 class FunctionError(FileError):
@@ -55,84 +74,40 @@ SMALLEST_ROOT = 1e-3
 _REGISTRY: dict[str, Function] = {
     f.name: f
     for f in (
-        Function("id", lambda z: z, "{0}", formula="{0}"),
-        Function("sin", torch.sin, "sin({0})", formula="sin({0})"),
-        Function("cos", torch.cos, "cos({0})", formula="cos({0})"),
-        Function("abs", torch.abs, "|{0}|", formula="fabs({0})"),
-        Function("sign", torch.sign, "sign({0})", formula="sign({0})"),
-        Function("exp", torch.exp, "exp({0})", formula="exp({0})"),
-        Function("tanh", torch.tanh, "tanh({0})", formula="tanh({0})"),
-        Function(
-            "sqrt",
-            lambda z: z.clamp_min(SMALLEST_ROOT).sqrt(),
-            "sqrt({0})",
-            formula=f"sqrt(larger({{0}}, {SMALLEST_ROOT!r}))",
-        ),
-        Function("bell", lambda z: (-z * z).exp(), "exp(-({0})^2)", formula="exp(-square({0}))"),
-        Function(
-            "root",
-            lambda z, p: (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
-            "sqrt({0} - {1})",
-            parametric=True,
-            formula=f"sqrt(larger({{0}} - {{1}}, {SMALLEST_ROOT!r}))",
-        ),
-        Function(
-            "hinge",
-            lambda z, p: (z - p).clamp_min(0),
-            "max(0, {0} - {1})",
-            parametric=True,
-            formula="larger({0} - {1}, 0)",
-        ),
-        Function(
-            "per_cos2",
-            lambda z, p: 1 / (1 + p * z.cos().square()),
-            "/(1 + {1} cos({0})^2)",
-            parametric=True,
-            formula="1 / (1 + {1} * square(cos({0})))",
-        ),
-        Function("ahead", lambda a, b: a - b, "({2} - {3})", formula="{0} - {1}"),
+        Function("id", "{0}", "{0}"),
+        *(Function(name, f"{name}({{0}})", f"{name}({{0}})") for name in ("sin", "cos", "sign", "exp", "tanh")),
+        Function("abs", "fabs({0})", "|{0}|"),
+        Function("sqrt", f"sqrt(larger({{0}}, {SMALLEST_ROOT!r}))", "sqrt({0})"),
+        Function("bell", "exp(-square({0}))", "exp(-({0})^2)"),
+        Function("root", f"sqrt(larger({{0}} - {{1}}, {SMALLEST_ROOT!r}))", "sqrt({0} - {1})", parametric=True),
+        Function("hinge", "larger({0} - {1}, 0)", "max(0, {0} - {1})", parametric=True),
+        Function("per_cos2", "1 / (1 + {1} * square(cos({0})))", "/(1 + {1} cos({0})^2)", parametric=True),
+        Function("ahead", "{0} - {1}", "({2} - {3})"),
         Function(
             "slack",
-            lambda a, b, p: a - b - (a - b).clamp(-p, p),
+            "larger({0} - {1} - {2}, 0) - larger({1} - {0} - {2}, 0)",
             "slack({0}; {1})",
             parametric=True,
-            formula="larger({0} - {1} - {2}, 0) - larger({1} - {0} - {2}, 0)",
         ),
     )
 }
 
 
 @lru_cache
-def _turned(plain: Function, name: str, sign: int) -> Function:
+def _turned(plain: Function, name: str, sign: str) -> Function:
     """Return a function of the sum or the difference of two variables, written as one of their sum or difference."""
-    word = "+" if sign > 0 else "-"
-    compute = plain.compute
-    return Function(
-        name,
-        lambda a, b, *p: compute(a + sign * b, *p),
-        plain.text.replace("{0}", f"{{2}} {word} {{3}}"),
-        parametric=plain.parametric,
-        # The number of a parametric function comes after its variables.
-        formula=_in_brackets(plain.formula.replace("{1}", "{2}"), f"{{0}} {word} {{1}}"),
-    )
-
-
-def _in_brackets(form: str, two: str) -> str:
-    """Return a format string with two variables in the place of the first, in one pair of brackets."""
-    return form.replace("({0})", "{0}").replace("{0}", f"({two})")
+    both = plain.formula.replace("{1}", "{2}").replace("({0})", "{0}").replace("{0}", f"({{0}} {sign} {{1}})")
+    return Function(name, both, plain.text.replace("{0}", f"{{2}} {sign} {{3}}"), plain.parametric)
 
 
 for _plain in ("sin", "cos", "per_cos2"):
-    for _name, _sign in (("sum", 1), ("gap", -1)):
-        _made = _turned(_REGISTRY[_plain], f"{_plain}_{_name}", _sign)
-        _REGISTRY[_made.name] = _made
+    for _ending, _sign in (("sum", "+"), ("gap", "-")):
+        _REGISTRY[f"{_plain}_{_ending}"] = _turned(_REGISTRY[_plain], f"{_plain}_{_ending}", _sign)
 
 QUOTIENTS = ("per_cos2", "per_cos2_sum", "per_cos2_gap")
 """Functions that are written as a division."""
 _BUILT_IN = frozenset(_REGISTRY)
-
-
-_SUFFIXES = {"__sum": 1, "__gap": -1}
+_SUFFIXES = {"__sum": "+", "__gap": "-"}
 """Endings of functions of a sum or a difference that are made when they are asked for, and its sign."""
 _EVERYWHERE = ("abs", "sign", "exp", "tanh", "bell")
 """Functions of the package of which a difference may be the argument, as they have a value at each number."""
@@ -157,7 +132,7 @@ def of_two(name: str, sign: str) -> str:
     ending = "sum" if sign == "+" else "gap"
     if f"{name}_{ending}" in _BUILT_IN:
         return f"{name}_{ending}"
-    if function(name).n_variables not in (1, None) or (name in _BUILT_IN and name not in _EVERYWHERE):
+    if function(name).n_variables != 1 or (name in _BUILT_IN and name not in _EVERYWHERE):
         raise ValueError(
             f"function {name!r} takes no sum and no difference of two variables; those that do are sin, cos, "
             f"{', '.join(_EVERYWHERE)}, and each function of your own of one argument. For a root of either sign, "
@@ -172,30 +147,33 @@ def unregister_function(name: str) -> None:
         _REGISTRY.pop(name, None)
 
 
-def register_function(name: str, compute: Callable[..., Tensor], formula: str = "") -> Function:
-    """Make a torch function available to libraries, saved models and printed equations under a name.
+def register_function(name: str, formula: str) -> Function:
+    """Make a function available to libraries, saved models, printed equations and exports under a name.
+
+    A saved model holds the formulas of its functions, and is read where they are not registered.
 
     Args:
-        name: a Python identifier; registering a name again replaces it.
-        compute: torch function, elementwise in each argument, differentiable by autograd.
-        formula: format string in operators and `FORMULA_FUNCTIONS`, e.g. `1 / (1 + square({0}))`, with `{1}` for a
-            second argument. It is saved with a model, which then can be read where the function is not registered,
-            and be exported to C and other languages. It has to say what `compute` does.
+        name: a Python identifier, not that of another function.
+        formula: a line of numbers, `{0}` for the argument, `{1}` for a second one, `+ - * /`, brackets and
+            `FORMULA_FUNCTIONS`, e.g. `1 / (1 + square({0}))`. Where it is not finite, as `sqrt({0})` below zero, no
+            model is: write `sqrt(larger({0}, 0.001))`.
 
     Returns:
         The function, as libraries hold it.
 
     Raises:
-        ValueError: the name is not an identifier, or the formula holds anything but arguments, numbers, + - * / and
-            `FORMULA_FUNCTIONS`.
+        FunctionError: the name is that of another function.
+        ValueError: the name is no identifier, or the formula holds anything else.
     """
     if not name.isidentifier():
         raise ValueError(f"register_function got the name {name!r}; allowed is a Python identifier: rename it")
     # What is given is not kept for other languages: its tree is written anew, from numbers and known names alone.
-    written = _read(name, formula)[0] if formula else ""
-    made = Function(name, compute, name + "({0})", formula=written, given=formula)
-    _REGISTRY[name] = made
-    return made
+    made = Function(name, _read(name, formula), name + "({0})")
+    if _REGISTRY.get(name, made) != made:
+        raise FunctionError(
+            f"function {name!r} is another function here, {_REGISTRY[name].formula}; give yours another name"
+        )
+    return _REGISTRY.setdefault(name, made)
 
 
 def function(name: str) -> Function:
@@ -219,66 +197,23 @@ def _ways(name: str, formula: str) -> str:
     """Say how a user registers a function, in the settings of a command and in Python."""
     return (
         f'write it into plant.functions, such as {{{name}: "{formula}"}}; in Python, call register_function({name!r}, '
-        f"..., formula={formula!r})"
+        f"{formula!r})"
     )
 
 
-LONGEST = 300
-"""Characters of a formula."""
-_OPERATORS: dict[type[ast.AST], tuple[str, Callable[..., Tensor]]] = {
-    ast.Add: ("+", operator.add),
-    ast.Sub: ("-", operator.sub),
-    ast.Mult: ("*", operator.mul),
-    ast.Div: ("/", operator.truediv),
-}
-_CALLS: dict[str, Callable[..., Tensor]] = {
-    **{name: getattr(torch, name) for name in FORMULA_FUNCTIONS if hasattr(torch, name)},
-    "fabs": torch.abs,
-    "larger": torch.maximum,
-}
-
-
-_ARGUMENT = "argument_"
-"""What stands for `{` and a digit while a formula is read."""
-
-
-def register_formula(name: str, formula: str) -> Function:
-    """Make a function of one argument or several available to libraries, saved models and exports, from its formula.
-
-    Where a function of the same formula is registered, in Python or by this, it stays.
-
-    Args:
-        name: a Python identifier, not that of another function.
-        formula: a line of numbers, `{0}` for the argument, `{1}` for a second one, `+ - * /`, brackets and
-            `FORMULA_FUNCTIONS`; where it is not finite, as `sqrt({0})` below zero, no model is: write
-            `sqrt(larger({0}, 0.001))`.
-
-    Raises:
-        FunctionError: the name is that of another function.
-        ValueError: the name is no identifier, or the formula holds anything else.
-    """
-    if is_registered(name):
-        if (known := function(name)).given == formula != "":
-            return known
-        told = known.given or "which is not of a formula"
-        raise FunctionError(f"function {name!r} is another function here, {told}; give yours another name")
-    return register_function(name, _read(name, formula)[1], formula=formula)
-
-
 def formula_texts(names: Iterable[str]) -> dict[str, str]:
-    """Return the formulas that functions were registered with, by name; functions without one are left out."""
-    found = {name: function(name).given for name in sorted(set(map(_of_one, names)))}
-    return {name: formula for name, formula in found.items() if formula}
+    """Return the formulas of a user's own functions, by name; functions of the package are left out."""
+    return {name: function(name).formula for name in sorted(set(map(_of_one, names)) - _BUILT_IN)}
 
 
-def _read(name: str, formula: object) -> tuple[str, Callable[..., Tensor]]:
-    """Return a formula in brackets, floats and known names, which every language reads alike, and what computes it."""
+def _read(name: str, formula: object) -> str:
+    """Return a formula in brackets, floats and known names, which every language reads alike."""
     allowed = f"allowed are {{0}}, {{1}}, numbers, + - * /, brackets and {', '.join(FORMULA_FUNCTIONS)}"
     told = str(formula)[:60]
     if not isinstance(formula, str) or len(formula) > LONGEST:
         raise ValueError(f"function {name!r} has the formula {told!r}; {allowed}: mend it")
     try:
-        written, compute = _translated(parsed(re.sub(r"\{(\d)\}", rf" {_ARGUMENT}\1 ", formula).strip()))
+        written = _rewritten(parsed(re.sub(r"\{(\d)\}", rf" {_ARGUMENT}\1 ", formula).strip()))
     except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
         raise ValueError(f"function {name!r}: {told!r} cannot be read; {allowed}: mend it") from error
     except LookupError as error:
@@ -290,26 +225,20 @@ def _read(name: str, formula: object) -> tuple[str, Callable[..., Tensor]]:
             f"function {name!r}: {told!r} has no {{{lacking[0]}}}, which stands for argument {lacking[0] + 1}; write "
             "it in"
         )
-    return written, compute
+    return written
 
 
-def _translated(node: ast.expr) -> tuple[str, Callable[..., Tensor]]:
-    """Return the text of a part of a formula, and what computes it; a `LookupError` holds a node that is none."""
+def _rewritten(node: ast.expr) -> str:
+    """Return the text of a part of a formula; a `LookupError` holds a node that is none."""
     match node:
-        case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-            (a, first), (b, second), (sign, both) = _translated(left), _translated(right), _OPERATORS[type(op)]
-            return f"({a} {sign} {b})", lambda *z: both(first(*z), second(*z))
-        case ast.UnaryOp(op=ast.USub(), operand=operand):
-            a, value = _translated(operand)
-            return f"(0.0 - {a})", lambda *z: -value(*z)
-        case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in _CALLS:
-            if len(args) == 1 + (name == "larger"):
-                texts, values = zip(*map(_translated, args), strict=True)
-                return f"{name}({', '.join(texts)})", lambda *z: _CALLS[name](*(value(*z) for value in values))
-        case ast.Constant(value=number) if isinstance(number, int | float) and not isinstance(number, bool):
-            if math.isfinite(size := float(number)):
-                return repr(size), lambda z, *_: torch.full_like(z, size)
-        case ast.Name(id=name) if re.fullmatch(rf"{_ARGUMENT}\d", name):
-            place = int(name.removeprefix(_ARGUMENT))
-            return f"{{{place}}}", lambda *z: z[place]
+        case ast.BinOp(left, op, right) if type(op) in _SIGNS:
+            return f"({_rewritten(left)} {_SIGNS[type(op)]} {_rewritten(right)})"
+        case ast.UnaryOp(ast.USub(), operand):
+            return f"(0.0 - {_rewritten(operand)})"
+        case ast.Call(ast.Name(name), args, []) if name in FORMULA_FUNCTIONS and len(args) == 1 + (name == "larger"):
+            return f"{name}({', '.join(map(_rewritten, args))})"
+        case ast.Constant(int() | float() as number) if type(number) is not bool and math.isfinite(float(number)):
+            return repr(float(number))
+        case ast.Name(name) if re.fullmatch(rf"{_ARGUMENT}\d", name):
+            return f"{{{name.removeprefix(_ARGUMENT)}}}"
     raise LookupError(node)

@@ -156,13 +156,11 @@ def _checked(factor: Factor) -> Factor:
         raise ValueError(f"a function has the power {shown}; allowed are whole ones up to {LARGEST_POWER}: correct it")
     if not (math.isfinite(factor.frequency) and math.isfinite(factor.fitted)):
         raise ValueError(f"a function has the frequency {factor.frequency}; allowed are finite ones: correct it")
-    if factor.function == "id" and len(factor.variables) != 1:
-        raise ValueError(f"a product has a factor of {len(factor.variables)} variables; allowed is one: correct it")
-    takes = function(factor.function).n_variables
-    if takes is not None and len(factor.variables) != takes:
+    known = function(factor.function)
+    if len(factor.variables) != known.n_variables:
         raise ValueError(
-            f"function {factor.text()} has {len(factor.variables)} arguments; its formula, "
-            f"{function(factor.function).given!r}, takes {takes}: correct one of them"
+            f"function {known.name!r} has {len(factor.variables)} arguments; its formula, {known.formula!r}, takes "
+            f"{known.n_variables}: correct one of them"
         )
     return factor
 

@@ -34,7 +34,13 @@ from dynasindy.sindy.covariance import Covariance, of_rates
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay
 from dynasindy.sindy.equations import equations, require_finite
 from dynasindy.sindy.fit_report import FitReport, Refined
-from dynasindy.sindy.functions import FunctionError, formula_texts, is_registered, register_formula, unregister_function
+from dynasindy.sindy.functions import (
+    FunctionError,
+    formula_texts,
+    is_registered,
+    register_function,
+    unregister_function,
+)
 from dynasindy.sindy.library import Constraints, Feature, Library
 from dynasindy.sindy.named_libraries import GENERAL, LibraryBuilder, build_library
 from dynasindy.sindy.reconstruction import (
@@ -543,7 +549,7 @@ class SindyModel(WorldModel):
             new = [name for name in given.get("functions", {}) if not is_registered(name)]
             try:
                 for name, formula in given.get("functions", {}).items():
-                    register_formula(name, formula)
+                    register_function(name, formula)
                 return _read(given)
             except BaseException as error:  # any: a file that is damaged leaves nothing behind
                 for name in new:

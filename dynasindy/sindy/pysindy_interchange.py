@@ -110,7 +110,7 @@ def to_sympy(model: SindyModel) -> dict[str, Any]:
     Of a difference equation it returns the next value of every state.
 
     Raises:
-        ValueError: The model has a function without a formula, or too many terms.
+        ValueError: The model has too many terms.
     """
     import sympy
 

@@ -96,7 +96,7 @@ def trajectory_sensitivities(
     used = (xi != 0).any(-1).index_fill(0, parameters.features, True)
     own, shapes = ((used.cumsum(0) - 1)[parameters.features], parameters.states), library.shapes
     library, xi = library.subset(used.nonzero().flatten().tolist()), xi[used]
-    with suppress(ValueError, OSError):  # a function has no formula, or there is no compiler
+    with suppress(ValueError, OSError):  # there is no compiler
         writer = _FunctionWriter(library, shapes)
         program, numbers = writer.program(library.step), [writer.numbers.get(shape) for shape in shapes]
         return simulate_sensitivities(program, numbers, xi, own, x, u, dt, substeps, u_end, update)

@@ -111,7 +111,7 @@ def targets(canary: Path) -> dict[str, dict[str, object]]:
         "dynasindy.dyna.folder.torch.load": {"f": str(pickled), "weights_only": False},
         "dynasindy.safe_io.write_rows": {"path": str(canary), "columns": ["a"], "rows": []},
         "dynasindy.sindy.SindyModel.load": {"path": str(pickled)},
-        "dynasindy.sindy.register_function": {"name": "sin", "compute": None},
+        "dynasindy.sindy.register_function": {"name": "sin", "formula": "{0}"},
         "dynasindy.data.recording.LogReader": {"path": "/etc/passwd", "states": {"a": "a"}, "inputs": {"u": "u"}},
         "dynasindy.systems.Tras.__class__": {},
         "dynasindy": {},

@@ -42,7 +42,7 @@ def test_code_equals_the_sum_of_all_functions(name):
 
 
 def test_closed_form_with_powers_frequencies_inverses_and_functions_of_two_variables():
-    register_function("angle_test", torch.atan2)
+    register_function("angle_test", "{0} / (1 + fabs({1}))")
     features = [
         *(CONSTANT, variable("a"), variable("a", 5), variable("b", -2) * variable("a")),
         *(of("sin", "a", frequency=2.0, power=3), of("cos", "a", frequency=0.5) * variable("u")),
@@ -53,7 +53,7 @@ def test_closed_form_with_powers_frequencies_inverses_and_functions_of_two_varia
     x, u = draw(9, 2), draw(9, 1, seed=1)
     (a, b), v = x.unbind(-1), u[:, 0]
     theta = [
-        *(torch.ones_like(a), a, a**5, a / b**2, torch.sin(2 * a) ** 3, torch.cos(a / 2) * v, torch.atan2(a, b)),
+        *(torch.ones_like(a), a, a**5, a / b**2, torch.sin(2 * a) ** 3, torch.cos(a / 2) * v, a / (1 + b.abs())),
         torch.exp(b) * v.abs() * a.sign() * torch.tanh(b),
     ]
     expected = torch.stack([sum(c * t for c, t in zip(row, theta)) for row in xi.mT.tolist()], -1)
@@ -147,30 +147,6 @@ def test_a_model_is_as_its_coefficients_are_whichever_of_them_are_zero_or_one():
         torch.testing.assert_close(found, reference(library, changed, x, u, 0.1, 2)[0], rtol=1e-13, atol=1e-14)
 
 
-def test_a_name_that_is_registered_anew_is_the_new_function():
-    x, u = (part.double() for part in drawn(5))
-    for formula, compute in (("2.0 * {0}", lambda z: 2.0 * z), ("{0} * {0}", lambda z: z * z)):
-        register_function("twice_test", compute, formula=formula)
-        library, xi = made([A, of("twice_test", "b")])
-        found = one_period(Machine(write_program(library, xi), torch.float64), x, u, 0.1, 1)[0]
-        torch.testing.assert_close(found, reference(library, xi, x, u, 0.1, 1)[0], rtol=1e-13, atol=1e-14)
-    unregister_function("twice_test")
-
-
-def test_a_function_without_a_formula_is_refused():
-    register_function("wild_test", lambda z: torch.special.erf(z))
-    library, xi = made([A, of("wild_test", "a")])
-    with pytest.raises(ValueError, match="wild_test"):
-        Machine(write_program(library, xi))
-    model = SindyModel(SIGNATURE, library)
-    model.set_coefficients(xi)
-    x, u = drawn(4)
-    with pytest.warns(UserWarning, match="SindyModel"):
-        assert model.compiled(x, u) is None
-    assert model.compiled(x, u) is None  # and says so once
-    unregister_function("wild_test")
-
-
 def test_a_model_has_machine_code_for_what_it_can_compute_and_as_it_is_now(monkeypatch):
     library, xi = made([A, B, U])
     model = SindyModel(SIGNATURE, library)
@@ -202,8 +178,8 @@ def test_a_model_has_machine_code_for_what_it_can_compute_and_as_it_is_now(monke
 
 
 def test_a_fraction_of_whole_numbers_in_a_users_formula_is_one():
-    register_function("third_test", lambda z: z / 3, formula="1 / 3 * {0}")
-    register_function("half_test", lambda z: z / 2, formula="{0} / 2")
+    register_function("third_test", "1 / 3 * {0}")
+    register_function("half_test", "{0} / 2")
     library = Library(SIGNATURE, [of("third_test", "a"), of("half_test", "a")])
     xi = torch.tensor([[1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
     code, (x, u) = Machine(write_program(library, xi)), drawn(5)

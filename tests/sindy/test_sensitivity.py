@@ -5,7 +5,6 @@ import torch
 
 from dynasindy.sindy import functions, sensitivity
 from dynasindy.sindy.codegen import simulate
-from dynasindy.sindy.functions import register_function
 from dynasindy.sindy.library import Library, of, parse, variable
 from dynasindy.sindy.named_libraries import paper_table
 from dynasindy.sindy.sensitivity import Parameters, slopes_by_state, trajectory_sensitivities
@@ -153,18 +152,3 @@ def test_slopes_of_every_function_are_differences_of_its_values(path, name):
         up, down = (library.with_shapes([number["frequency"] + step])(x, u) for step in (1e-6, -1e-6))
         found = library.by_shapes(x, u, library.shapes)
         torch.testing.assert_close(found[..., 0], (up - down) / 2e-6, rtol=1e-6, atol=1e-8)
-
-
-def test_a_function_without_a_formula_is_moved_by_torch(monkeypatch):
-    """An angle and its slopes, in one step of a difference equation."""
-    monkeypatch.setattr(functions, "_REGISTRY", dict(functions._REGISTRY))
-    register_function("angle_of", torch.atan2)
-    library = Library(TWO, [of("angle_of", "a", "b")], step=0.5)
-    xi = torch.tensor([[2.0, 0.0]], dtype=torch.float64)
-    x, u = points()
-    (a, b), square = x.unbind(-1), x.square().sum(-1)
-    found = trajectory_sensitivities(library, xi, Parameters.where(xi != 0), x, u.unsqueeze(1), 0.5, 1)
-    end, slopes = (each[:, 0] for each in found)
-    torch.testing.assert_close(end, torch.stack([a + torch.atan2(a, b), b], -1))
-    wanted = torch.stack([1 + b / square, -a / square, 0.5 * torch.atan2(a, b)], -1)
-    torch.testing.assert_close(slopes[:, 0], wanted)
