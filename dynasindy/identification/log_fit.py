@@ -37,6 +37,7 @@ from dynasindy.limits import raise_if_memory
 from dynasindy.progress import Event, TimeIsUp, listening, report_progress, reporting_as
 from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.fit_report import FitReport
+from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.lag_states import lag_state_candidates, lag_state_finding, with_lag_state
 from dynasindy.sindy.library import Constraints, Factor, Feature, Library, variable
 from dynasindy.sindy.library import of as function_of
@@ -45,7 +46,6 @@ from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, is_p
 from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import SAMPLES_EACH, fit_supported
-from dynasindy.sindy.shape_parameters import is_quotient
 from dynasindy.sindy.shooting import CHOSEN_STRETCHES, choose_stretches
 from dynasindy.sindy.world_model import variance
 from dynasindy.systems.base import TURNS
@@ -571,7 +571,7 @@ class _Search:
             return
         stages, rows = [of.structure], int(self.folds[0].fit_rows().sum())
         if self.builder is not None:
-            stages = [_with_functions(of.structure, lambda each: not is_quotient(each))]
+            stages = [_with_functions(of.structure, lambda each: not _is_quotient(each))]
             if len(stages[0].library) > MANY:
                 stages.insert(0, _with_functions(stages[0], lambda each: len(each.factors) <= 1))
             stages = [each for each in stages if len(each.library) * SAMPLES_EACH <= rows]
@@ -595,7 +595,7 @@ class _Search:
     def _regressed(self, model: SindyModel, source: Source) -> None:
         """Begin at the equations that regressions of rates of change choose, as of a library without linear ones."""
         if len(model.library) > MANY and self.builder is not None:
-            model = _with_functions(model, lambda each: not is_quotient(each))
+            model = _with_functions(model, lambda each: not _is_quotient(each))
         if len(model.library) > MANY:
             return
         names = ", ".join(source.signature.state_names)
@@ -710,6 +710,11 @@ def _is_linear(feature: Feature) -> bool:
     """Tell whether a function is the constant, a state or an input, or what one is ahead of another."""
     own = feature.factors
     return len(own) <= 1 and all(factor.function in ("id", "ahead") and factor.power == 1 for factor in own)
+
+
+def _is_quotient(feature: Feature) -> bool:
+    """Tell whether a function is divided by a moment of inertia."""
+    return any(factor.function in QUOTIENTS for factor in feature.factors)
 
 
 def _with_functions(model: SindyModel, wanted: Callable[[Feature], bool]) -> SindyModel:

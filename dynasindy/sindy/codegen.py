@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from functools import cache, lru_cache
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -35,7 +36,8 @@ def generate(library: Library, coefficients: Tensor) -> Field:
         ValueError: the model has more functions than can be written.
     """
     writer = _TorchWriter(library, require_finite(library, coefficients))
-    source, scope = writer.source(), {**TORCH_FUNCTIONS, "torch": torch, "constants": _constants(writer.constants)}
+    source, constants = writer.source(), _constants(writer.constants)
+    scope: dict[str, Any] = {**TORCH_FUNCTIONS, "torch": torch, "constants": constants}
     exec(compile(source, "<field of a sparse model>", "exec"), scope)
     field: Field = scope["field"]
     field.__doc__ = source

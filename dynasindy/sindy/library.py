@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from functools import cached_property, partial, reduce
+from functools import cached_property, reduce
 from itertools import islice
 
 import torch
@@ -323,22 +323,19 @@ class Library:
             )
         return self.names.index(name)
 
-    def __call__(self, x: Tensor, u: Tensor) -> Tensor:
-        """Evaluate all features.
+    def __call__(self, x: Tensor, u: Tensor, numbers: Mapping[Factor, Tensor] | None = None) -> Tensor:
+        """Evaluate all features, each factor computed once.
 
         Args:
             x: states, `(*batch, n_x)`.
             u: inputs, `(*batch, n_u)`.
+            numbers: other numbers inside some of `shapes`.
 
         Returns:
             Theta, `(*batch, n_features)`, in the dtype of `x`.
         """
-        return self._evaluated(self.features, x, u, {})
-
-    def _evaluated(self, features: Iterable[Feature], x: Tensor, u: Tensor, numbers: Mapping[Factor, Tensor]) -> Tensor:
-        """Evaluate features, each factor computed once, some with other numbers inside them."""
         columns = dict(zip(self._index, (*x.unbind(-1), *u.to(x.dtype).unbind(-1)), strict=True))
-        known = {factor: factor.of(columns, number) for factor, number in numbers.items()}
+        known = {factor: factor.of(columns, number) for factor, number in (numbers or {}).items()}
 
         def _value(factor: Factor) -> Tensor:
             if factor not in known:
@@ -347,7 +344,7 @@ class Library:
             return known[factor]
 
         one = torch.ones_like(x[..., 0])
-        values = [reduce(operator.mul, map(_value, each.factors)) if each.factors else one for each in features]
+        values = [reduce(operator.mul, map(_value, each.factors)) if each.factors else one for each in self.features]
         return torch.stack(values, -1)
 
     @property
@@ -374,27 +371,6 @@ class Library:
         changed = copy.copy(self)
         changed.step = step
         return changed
-
-    def by_shapes(self, x: Tensor, u: Tensor, shapes: Sequence[Factor]) -> Tensor:
-        """Evaluate the derivatives of all features by the numbers inside some factors.
-
-        Args:
-            x: states, `(*batch, n_x)`.
-            u: inputs, `(*batch, n_u)`.
-            shapes: factors to the power of one.
-
-        Returns:
-            `(*batch, n_features, n_shapes)`.
-        """
-        slopes = torch.zeros(*x.shape[:-1], len(self.features), len(shapes), dtype=x.dtype, device=x.device)
-        for j, shape in enumerate(shapes):
-            if mine := [k for k, each in enumerate(self.features) if shape in (f.base for f in each.factors)]:
-                some, number = [self.features[k] for k in mine], torch.full_like(x[..., 0], shape.frequency)
-                moved = partial(self._evaluated, some, x, u)
-                slopes[..., mine, j] = torch.func.jvp(
-                    lambda p, own=shape, of=moved: of({own: p}), (number,), (torch.ones_like(number),)
-                )[1]
-        return slopes
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ from dynasindy.sindy.reconstruction import (
     simulate_hidden_states,
 )
 from dynasindy.sindy.refinement import Refinement
-from dynasindy.sindy.regression import DEPENDENT, SAMPLES_EACH, Regression, Rows, RunningSums, integral_form
+from dynasindy.sindy.regression import DEPENDENT, SAMPLES_EACH, Regression, Rows, RunningSums
 from dynasindy.sindy.shooting import (
     CHOSEN_STRETCHES,
     COARSE,
@@ -386,7 +386,7 @@ class SindyModel(WorldModel):
             return
         with self._whole():
             rates = rate_states(self.library, self.constraints)
-            self.sums.add(self._rows(RegressionData.of(self._checked(transitions), rates)))
+            self.sums.add(RegressionData.of(self._checked(transitions), rates).rows(self.library))
 
     def _identify(self, transitions: Transitions, cut_before: bool) -> FitReport:
         """Fit to transitions alone.
@@ -404,7 +404,7 @@ class SindyModel(WorldModel):
             started = _start_lag_states(self.library, first, led, self.followers)
             guess = replace(started, u=data.u, u_end=data.u_end)
         seen = RegressionData(data, guess, rates)
-        rows, cut = self._rows(seen), list[Finding]()
+        rows, cut = seen.rows(self.library), list[Finding]()
         # Where states were not all measured, regressions choose badly, and trajectories from the whole library.
         fewest = 1 if seen.half else FEWEST_EACH
         few = len(data) < fewest * len(self.library) or (cut_before and not seen.half)
@@ -603,7 +603,7 @@ class SindyModel(WorldModel):
             self.library, self.delay = found.library, found.delay
             self.sums = RunningSums(len(self.library), self.signature.n_x)
             recording = RegressionData(data, guess, rate_states(self.library, self.constraints), self.delay)
-            self.sums.add(self._rows(recording.delayed(self.delay)))
+            self.sums.add(recording.delayed(self.delay).rows(self.library))
         rows = selection_rows(free, self.refinement.error == "innovation")
         if self.refinement.method == "integral" or not self.refinement.select or len(data) <= rows:
             return found
@@ -635,10 +635,6 @@ class SindyModel(WorldModel):
         self.library, self.constraints, self.places = library, known, places
         self.coefficients = known.offset.clone()
         self.sums = RunningSums(len(library), self.signature.n_x)
-
-    def _rows(self, seen: RegressionData) -> Rows:
-        """Return averaged functions and rates of change of what regressions read."""
-        return seen.rows(self.library, self) if seen.half else integral_form(self.library, seen.guess)
 
     def _solve(self, sums: RunningSums, dependent: float = DEPENDENT) -> None:
         regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression

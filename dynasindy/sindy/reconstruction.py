@@ -16,7 +16,7 @@ from torch import Tensor
 from dynasindy.sindy.codegen import simulate
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay
 from dynasindy.sindy.library import Constraints, Library, variable
-from dynasindy.sindy.regression import DEPENDENT, Rows, Theta, simpson_form, weak_form
+from dynasindy.sindy.regression import DEPENDENT, Rows, Theta, integral_form, weak_form
 from dynasindy.sindy.shooting import ENOUGH, choose_stretches, relative_step, substeps_for
 from dynasindy.systems.base import Signature
 from dynasindy.systems.smoothing import best_length, local_cubic
@@ -76,15 +76,15 @@ class RegressionData:
         """Rows whose inputs are known however late they act, bool `(N,)`."""
         return rows_after_delay(self.measured, self.longest)
 
-    def rows(self, theta: Theta, field: Theta) -> Rows:
+    def rows(self, theta: Theta, field: Theta | None = None) -> Rows:
         """Average functions and rates of change: by the weak form, or within intervals if all states were measured.
 
         Args:
             theta: `(x, u) -> (N, n_features)`.
-            field: first model `(x, u) -> dx`, `(N, n_x)`.
+            field: first model `(x, u) -> dx`, `(N, n_x)`, if there is one, see `integral_form`.
         """
         if not self.half:
-            return simpson_form(theta, field, self.guess)
+            return integral_form(theta, self.guess, field)
         return weak_form(theta, self.measured, self.guess, self.rates, self.half)
 
     def delayed(self, delay: float) -> RegressionData:

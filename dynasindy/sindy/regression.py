@@ -164,41 +164,34 @@ Rows = tuple[Tensor, Tensor]
 Theta = Callable[[Tensor, Tensor], Tensor]
 
 
-def integral_form(library: Theta, data: Transitions) -> Rows:
+def integral_form(library: Theta, data: Transitions, field: Theta | None = None) -> Rows:
     """Average the functions over each sampling interval and take the mean rate of change over it.
 
     Under zero-order hold the input is constant within an interval and jumps between two, so neither a centred
-    difference nor a derivative filter is right; the trapezoidal rule within the interval is. Inputs that move are
-    taken where the interval ends. A difference equation has its functions where the interval begins, and nothing is
-    averaged.
+    difference nor a derivative filter is right; the trapezoidal rule within the interval is. With a first model it is
+    Simpson's rule, whose midpoint is the cubic Hermite interpolant 0.5 (x_k + x_k+1) + dt/8 (f_k - f_k+1): fourth order
+    instead of second, which is what data at the control period (0.05 s) need. Inputs that move are taken where the
+    interval ends. A difference equation has its functions where the interval begins, and nothing is averaged.
 
     Args:
-        library: `(x, u) -> (N, n_features)`, with a `step` where it is of a difference equation.
+        library: `(x, u) -> (N, n_features)`.
         data: transitions, N rows.
+        field: first model `(x, u) -> dx`, `(N, n_x)`. That it is one of a difference equation is told by its `step`, or
+            by that of the library where there is no model.
 
     Returns:
-        `0.5 (Theta(x_k, u_k) + Theta(x_k+1, u_k))`, `(N, n_features)`, and `(x_k+1 - x_k) / dt`, `(N, n_x)`, float64.
+        Averaged functions, `(N, n_features)`, and `(x_k+1 - x_k) / dt`, `(N, n_x)`, float64.
     """
     data = data.to(torch.float64)
-    if time_step_of(library) is not None:
-        return library(data.x, data.u), (data.x_next - data.x) / data.dt
-    theta = 0.5 * (library(data.x, data.u) + library(data.x_next, data.last_inputs))
-    return theta, (data.x_next - data.x) / data.dt
-
-
-def simpson_form(library: Theta, field: Theta, data: Transitions) -> Rows:
-    """Average the functions over each interval by Simpson's rule, its midpoint taken from a first model.
-
-    The midpoint is the cubic Hermite interpolant 0.5 (x_k + x_k+1) + dt/8 (f_k - f_k+1): fourth order instead of
-    second, which is what data at the control period (0.05 s) need. Of a difference equation nothing is averaged.
-    """
-    data = data.to(torch.float64)
-    if time_step_of(field) is not None:
-        return library(data.x, data.u), (data.x_next - data.x) / data.dt
+    rates, begin = (data.x_next - data.x) / data.dt, library(data.x, data.u)
+    if time_step_of(field or library) is not None:
+        return begin, rates
+    ends = begin + library(data.x_next, data.last_inputs)
+    if field is None:
+        return 0.5 * ends, rates
     bend = field(data.x, data.u) - field(data.x_next, data.last_inputs)
     middle = 0.5 * (data.x + data.x_next) + data.dt / 8 * bend
-    ends = library(data.x, data.u) + library(data.x_next, data.last_inputs)
-    return (ends + 4 * library(middle, data.mean_inputs)) / 6, (data.x_next - data.x) / data.dt
+    return (ends + 4 * library(middle, data.mean_inputs)) / 6, rates
 
 
 class RunningSums:
@@ -307,18 +300,12 @@ class Regression:
         theta = sums.theta() / columns
         targets = sums.targets() - sums.theta() @ offset
         if self.method == "bic":
-            free = _eliminate(
-                theta,
-                targets / rates,
-                support & (norms[: sums.n_features] > 0).unsqueeze(-1),
-                sums.count,
-                self.tolerance,
-                self.dependent,
-            )
-            return offset + free * rates / columns.unsqueeze(-1)
-        threshold = self.threshold / math.sqrt(1000.0)
-        threshold = threshold * math.sqrt(max(sums.count, 1)) if self.normalize == "rms" else self.threshold
-        return offset + stlsq(theta, targets, support, threshold) / columns.unsqueeze(-1)
+            support = support & (norms[: sums.n_features] > 0).unsqueeze(-1)
+            found = rates * _eliminate(theta, targets / rates, support, sums.count, self.tolerance, self.dependent)
+        else:
+            grown = math.sqrt(sums.count / 1000) if self.normalize == "rms" else 1.0
+            found = stlsq(theta, targets, support, self.threshold * grown)
+        return offset + found / columns.unsqueeze(-1)
 
 
 def least_squares(theta: Tensor, target: Tensor) -> Tensor:

@@ -107,9 +107,10 @@ def trajectory_sensitivities(
         start, gain, numbers, values = changes.split(sizes)
         moved = xi.index_put(own, values, accumulate=True)
 
+        inside = {shape: shape.frequency + by for shape, by in zip(shapes, numbers, strict=True)}
+
         def _field(x: Tensor, u: Tensor) -> Tensor:
-            theta = library(x, u)
-            return (theta + library.by_shapes(x, u, shapes) @ numbers if shapes else theta) @ moved
+            return library(x, u, inside) @ moved
 
         corrected = update
         if update is not None:

@@ -12,9 +12,9 @@ from dynasindy.sindy.regression import (
     Regression,
     RunningSums,
     _eliminate,
+    integral_form,
     least_squares,
     needed_at_edge,
-    simpson_form,
 )
 from dynasindy.systems.transitions import Transitions
 
@@ -126,7 +126,7 @@ def test_a_term_is_worth_the_logarithm_of_the_number_of_samples(count):
 def test_simpson_s_rule_takes_its_middle_from_the_hermite_interpolant():
     x, u = torch.tensor([[1.0], [2.0]]), torch.tensor([[3.0]])
     data = Transitions.from_trajectory(x, u, 0.8)
-    theta, dx = simpson_form(lambda x, u: x * x + u, lambda x, u: 10 * x, data)
+    theta, dx = integral_form(lambda x, u: x * x + u, data, lambda x, u: 10 * x)
     middle = 1.5 + 0.8 / 8 * (10 - 20)
     assert theta.item() == pytest.approx(((1 + 3) + 4 * (middle**2 + 3) + (4 + 3)) / 6)
     assert dx.item() == pytest.approx(1 / 0.8)
