@@ -8,9 +8,9 @@ window to window; the gradient reaches back to the start of each window.
 from __future__ import annotations
 
 import copy
-import dataclasses
 import math
 from collections.abc import Sequence
+from dataclasses import asdict, replace
 from typing import Any
 
 import torch
@@ -23,7 +23,7 @@ from dynasindy.limits import Count, check_memory
 from dynasindy.planning.imagined_replay import Planned, Planner
 from dynasindy.planning.imitation import Imitation, arrives, hold, imagined_rewards, improve, tolerates_delay
 from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choose_plan_settings, find_task_equilibria
-from dynasindy.planning.randomization import InputStrength, draw_delays
+from dynasindy.planning.randomization import InputStrength
 from dynasindy.planning.rollout import Network, Rows, Window, backward, imagine
 from dynasindy.progress import report_progress
 from dynasindy.sentences import setting
@@ -52,8 +52,7 @@ class _Episodes:
     def __init__(self, planner: GradientPlanning, model: System | None = None, number: int | None = None) -> None:
         self.planner, self.env = planner, planner.env if model is None else planner.env.with_system(model)
         self.number = number or planner.rollouts
-        self.rows = references(planner.env, self.number, planner.rng)
-        self.rows.kept = True
+        self.rows = replace(Rows.draw(planner.env, self.number, planner.rng), kept=True)
         self.diverged = 0
         self.length = planner.env.task.max_steps * planner.env.dt
         self.end = torch.rand(self.number, 1, generator=planner.rng) * self.length
@@ -70,8 +69,7 @@ class _Episodes:
     def vary(self, strength: InputStrength | None) -> None:
         """Let the inputs of every episode be late, and of a strength of their own, from now on."""
         planner, rows = self.planner, self.rows
-        in_time = planner.held_out.late is None
-        rows.late = None if in_time else draw_delays(planner.input_delay, self.number, planner.rng)
+        rows.late = None if planner.held_out.late is None else self._draw_delays()
         rows.strength = None if strength is None else strength.draw(self.number, planner.rng)
 
     def carry_on(self, window: Window) -> None:
@@ -88,10 +86,18 @@ class _Episodes:
         rows.t = rows.t.masked_fill(new.unsqueeze(-1), 0.0)
         if (before := rows.strength) is not None:
             drawn = before.draw(len(new), planner.rng)
-            rows.strength = dataclasses.replace(before, factor=drawn.factor.where(new.unsqueeze(-1), before.factor))
-        if rows.late is not None and (delays := draw_delays(planner.input_delay, len(new), planner.rng)) is not None:
-            rows.late = delays.where(new.unsqueeze(-1), rows.late)
+            rows.strength = replace(before, factor=drawn.factor.where(new.unsqueeze(-1), before.factor))
+        if rows.late is not None:
+            rows.late = self._draw_delays().where(new.unsqueeze(-1), rows.late)
         self.end = self.end.masked_fill(new.unsqueeze(-1), self.length)
+
+    def _draw_delays(self) -> Tensor:
+        """Draw by how much inputs are late, `(rows, 1)` [control periods].
+
+        About one in two is late, and by as much as may be: what lies between is easier than the ends, and a policy that
+        was planned with delays drawn evenly from between has less margin.
+        """
+        return self.planner.input_delay * (torch.rand(self.number, 1, generator=self.planner.rng) < 0.5).float()
 
     def _starts(self, x: Tensor, lost: Tensor) -> Tensor:
         """Draw where episodes begin: where the task does, at real states, or where the last one ended."""
@@ -101,14 +107,6 @@ class _Episodes:
         starts = planner.env.task.initial_state(lost.shape, planner.rng).to(x)
         starts = torch.where(chance < REAL_STARTS, self.real_states[pick], starts)
         return torch.where((chance > 1 - JUMPS) & ~lost.unsqueeze(-1), x, starts)
-
-
-def references(env: ControlEnv, rows: int, rng: torch.Generator) -> Rows:
-    """Return rows at the start of the task, with drawn references."""
-    batch = torch.Size((rows,))
-    x = env.task.initial_state(batch, rng).to(torch.float32)
-    params = env.task.sample(batch, rng)
-    return Rows(x, torch.zeros(rows, env.system.signature.n_u), params, torch.zeros(rows, 1))
 
 
 GIVEN_UP, SHORTER = 0.02, 0.1
@@ -218,9 +216,9 @@ class GradientPlanning(Planner):
         self.rng = torch.Generator().manual_seed(seed)
         self.env = ControlEnv(env.system, _imagined_task(env.task, width, warm_start), env.dt, substeps or 1)
         self.env.stops = env.stops
-        self.held_out = references(self.env, 64, torch.Generator().manual_seed(seed + 1))
+        self.held_out = Rows.draw(self.env, 64, torch.Generator().manual_seed(seed + 1))
         self.finest, self.phase = env.substeps, 0
-        self.pace = dataclasses.replace(PlanSettings(), **self.given)
+        self.pace = replace(PlanSettings(), **self.given)
 
     def plan(self) -> Planned:
         """Improve the actor with the model as it is now.
@@ -235,7 +233,7 @@ class GradientPlanning(Planner):
         if (actor := _network(self.agent.policy)) is not self.network:
             self.network.load_state_dict(actor.state_dict())
         rests, was_afar = find_task_equilibria(self.env), self.pace.afar
-        self.pace = pace = dataclasses.replace(choose_plan_settings(self.env, rests, self.finest), **self.given)
+        self.pace = pace = replace(choose_plan_settings(self.env, rests, self.finest), **self.given)
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, 0.3 * pace.lr)
         # Each moves an equal share, so that no policy can exploit the errors of one.
@@ -256,7 +254,7 @@ class GradientPlanning(Planner):
         if begun.afar:
             updates, lr = pace.updates, pace.lr  # a way from afar is new, in a later phase too
         if begun.afar or was_afar:
-            self.pace = pace = dataclasses.replace(pace, window=self.given.get("window", LONGEST), afar=True)
+            self.pace = pace = replace(pace, window=self.given.get("window", LONGEST), afar=True)
         best = begun.score
         # A way from afar is timed for the inputs of the model; weaker or later ones would take another way.
         if pace.afar:
@@ -298,7 +296,7 @@ class GradientPlanning(Planner):
         """Return the phases so far and the generator; episodes and optimiser begin anew in each phase."""
         return {
             "phase": self.phase,
-            "pace": dataclasses.asdict(self.pace),
+            "pace": asdict(self.pace),
             "imagined_error": self.imagined_error,
             "generator": self.rng.get_state(),
         }
@@ -313,7 +311,7 @@ class GradientPlanning(Planner):
         """Return the policy's mean reward per control period over held-out imagined references, its inputs limited."""
         rows, task = self.held_out, self.env.task
         whole = imagine(self.env, self._limited(network or self.network), rows, task.max_steps)
-        return imagined_rewards(self.env, rows, whole).mean().item()
+        return imagined_rewards(self.env, whole).mean().item()
 
     def steady_state_error(self) -> float | None:
         """Return the mean error in the last quarter of held-out imagined episodes, of the worst output [target ranges].
@@ -322,7 +320,7 @@ class GradientPlanning(Planner):
         """
         env, task = self.env, self.env.task
         assert isinstance(task, Tracking)
-        rows, last = dataclasses.replace(self.held_out, strength=None, late=None, kept=False), task.max_steps // 4
+        rows, last = replace(self.held_out, strength=None, late=None, kept=False), task.max_steps // 4
         params, times = rows.params, env.dt * torch.arange(task.max_steps - last, task.max_steps + 1)
         reference = task.reference(params, times.reshape(-1, 1, 1).expand(-1, len(params), 1))
         rests = (reference == reference[-1]).all(-1).all(0)
@@ -429,7 +427,7 @@ def _imagined_task(task: Task, width: float | None, warm_start: bool | None) -> 
     if width is None or not isinstance(task, Tracking):
         return task
     smooth = task.fenced(FENCE)
-    smooth.reward_function = dataclasses.replace(task.reward_function, error_shape="linear", width=width, bonus=0.0)
+    smooth.reward_function = replace(task.reward_function, error_shape="linear", width=width, bonus=0.0)
     return smooth
 
 

@@ -23,7 +23,6 @@ import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import torch
 from torch import Tensor, nn
@@ -31,7 +30,7 @@ from torch import Tensor, nn
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.planning.rollout import Network, Rows, Window, imagine
-from dynasindy.planning.trajectory_library import NEAR, STILL, WEIGHTS, TrajectoryLibrary, cross_entropy, signal
+from dynasindy.planning.trajectory_library import WEIGHTS, TrajectoryLibrary, at_rest, cross_entropy, signal
 from dynasindy.progress import track
 from dynasindy.systems.equilibria import Equilibria
 from dynasindy.tasks import Tracking
@@ -46,14 +45,8 @@ ROWS, PERIODS = 96, 150
 """Imagined episodes and their length in a round of imitation."""
 
 
-class _Law(Protocol):
-    """What can be imitated."""
-
-    def __call__(self, observation: Tensor) -> Tensor:
-        """Return inputs `(*batch, n_u)` for observations `(*batch, n_o)`."""
-
-    def near(self, reference: Tensor, rng: torch.Generator) -> Tensor:
-        """Return states `(n, n_x)` for references `(n, n_r)` about which the law has something to say."""
+Law = Regulator | TrajectoryLibrary
+"""What can be imitated."""
 
 
 @dataclass(frozen=True)
@@ -96,12 +89,13 @@ def hold(
     # Departure: the paper's policy begins with random weights; on a plant that runs away ours begins as a law of the
     # model.
     best, before = score(network), copy.deepcopy(network.state_dict())
-    earned: dict[float, _Law] = {score(law): law for law in _regulators(env, rests)}
+    regulators = _regulators(env, rests)
+    earned: dict[float, Law] = {score(law): law for law in regulators}
     afar, imagined, late = False, 0, rows.late
     if search and earned and not arrives(earned[max(earned)], env, rests, rng):
         paths, imagined = TrajectoryLibrary.of(env, rests, rng)
         rows.late = None  # a way is timed for inputs that act at once
-        if paths is not None and (scored := score(paths)) > max(map(score, earned.values())):
+        if paths is not None and (scored := score(paths)) > max(map(score, regulators)):
             afar, best, earned = True, score(network), {scored: paths}
         else:
             rows.late = late
@@ -109,10 +103,10 @@ def hold(
         return Imitation(best, imagined)
     lessons = FROM_AFAR if afar else REGULATED
     _imitate(network, earned[max(earned)], env, rng, lessons)
-    if (imitated := score(network)) > best:
-        return Imitation(imitated, imagined, math.prod(lessons), afar)
-    network.load_state_dict(before)
-    return Imitation(best, imagined, math.prod(lessons))
+    kept = (imitated := score(network)) > best
+    if not kept:
+        network.load_state_dict(before)
+    return Imitation(max(imitated, best), imagined, math.prod(lessons), afar and kept)
 
 
 def _regulators(env: ControlEnv, rests: Equilibria) -> list[Regulator]:
@@ -130,18 +124,14 @@ def tolerates_delay(env: ControlEnv, rests: Equilibria, rows: Rows) -> bool:
         rests: Equilibria of its model.
         rows: Episodes, some of them with late inputs.
     """
-    task, laws = env.task, _regulators(env, rests)
-    assert isinstance(task, Tracking)
-    reference = task.reference(rows.params, torch.full_like(rows.t, task.max_steps * env.dt)).float()
+    laws = _regulators(env, rests)
 
-    def _home(law: Regulator, late: Tensor | None) -> bool:
-        whole = imagine(env, law, replace(rows, late=late, kept=False), task.max_steps)
-        return bool((law.home(whole.states[-STILL:], reference, NEAR) & whole.alive[-1]).all())
+    def _held(law: Regulator, late: Tensor | None) -> bool:
+        return bool(at_rest(env, law, law, replace(rows, late=late), env.task.max_steps).all())
 
-    return any(_home(law, rows.late) for law in laws) or not any(_home(law, None) for law in laws)
+    return any(_held(law, rows.late) for law in laws) or not any(_held(law, None) for law in laws)
 
 
-@torch.no_grad()
 def arrives(pilot: Network, env: ControlEnv, rests: Equilibria, rng: torch.Generator) -> bool:
     """Return whether a policy brings every imagined episode to rest; of a moving reference nothing is asked.
 
@@ -152,21 +142,18 @@ def arrives(pilot: Network, env: ControlEnv, rests: Equilibria, rng: torch.Gener
         rng: Source of starts and references.
     """
     task, batch = env.task, torch.Size((ROWS,))
-    assert isinstance(task, Tracking)
-    params, end = task.sample(batch, rng), torch.full((ROWS, 1), task.max_steps * env.dt)
-    reference = task.reference(params, end).float()
+    params, begin = task.sample(batch, rng), torch.zeros(ROWS, 1)
     regulator = Regulator.of(env, rests, WEIGHTS)
-    if regulator is None or not torch.allclose(reference, task.reference(params, 0 * end).float()):
+    assert isinstance(task, Tracking)
+    first, last = (task.reference(params, t).float() for t in (begin, begin + task.max_steps * env.dt))
+    if regulator is None or not torch.allclose(last, first):
         return True
-    x = task.initial_state(batch, rng).float()
-    rows = Rows(x, torch.zeros(ROWS, env.system.signature.n_u), params, torch.zeros(ROWS, 1))
-    rows.reach = _reach(task, x)
-    whole = imagine(env, pilot, rows, task.max_steps)
-    return bool((regulator.home(whole.states[-STILL:], reference, NEAR) & whole.alive[-1]).all())
+    rows = _rows(env, task.initial_state(batch, rng), params)
+    return bool(at_rest(env, pilot, regulator, rows, task.max_steps).all())
 
 
 def _imitate(
-    network: nn.Module, law: _Law, env: ControlEnv, rng: torch.Generator, lessons: tuple[int, int] = REGULATED
+    network: nn.Module, law: Law, env: ControlEnv, rng: torch.Generator, lessons: tuple[int, int] = REGULATED
 ) -> None:
     """Train a policy to act as a law does, where the law leads and then where the policy itself leads."""
     (rounds, steps), seen, told = lessons, [], []
@@ -190,28 +177,25 @@ def _lesson(network: nn.Module, observations: Tensor, wanted: Tensor, steps: int
 
 
 @torch.no_grad()
-def _visited(pilot: Network, law: _Law, env: ControlEnv, rng: torch.Generator) -> Tensor:
+def _visited(pilot: Network, law: Law, env: ControlEnv, rng: torch.Generator) -> Tensor:
     """Return observations along imagined episodes, half of them begun around rests, `(n, n_o)`."""
     task, batch = env.task, torch.Size((ROWS,))
     assert isinstance(task, Tracking)
-    params, zero = task.sample(batch, rng), torch.zeros(ROWS, 1)
-    other = task.reference(task.sample(batch, rng), zero)
+    params, other = task.sample(batch, rng), task.reference(task.sample(batch, rng), torch.zeros(ROWS, 1))
     x = task.initial_state(batch, rng).float()
     x[::2] = law.near(other, rng)[::2]
-    rows = Rows(x, torch.zeros(ROWS, env.system.signature.n_u), params, zero)
-    rows.reach = _reach(task, x)
-    whole = imagine(env, pilot, rows, min(PERIODS, task.max_steps))
-    alive = whole.alive[:-1]
-    observed = task.observation(whole.states[:-1], params.expand(len(alive), *params.shape), whole.times[:-1])
-    return observed[alive].float()
+    whole = imagine(env, pilot, _rows(env, x, params), min(PERIODS, task.max_steps))
+    return whole.observations(task)[whole.alive[:-1]].float()
 
 
-def _reach(task: Tracking, x: Tensor) -> Tensor:
-    """Return magnitudes of the states beyond which an episode from starts `(n, n_x)` has run away, `(n_x,)`."""
-    return torch.maximum(20.0 * torch.tensor(task.signature.x_scale), 4 * x.abs().amax(0))
+def _rows(env: ControlEnv, x: Tensor, params: Tensor) -> Rows:
+    """Return episodes from starts `(n, n_x)` that are over where they have run away."""
+    signature, rows = env.system.signature, Rows.start(x, params, env.system.signature.n_u)
+    rows.reach = torch.maximum(20.0 * torch.tensor(signature.x_scale), 4 * rows.x.abs().amax(0))
+    return rows
 
 
-def _trembling(law: _Law, limit: Callable[[Tensor], Tensor], rng: torch.Generator) -> Network:
+def _trembling(law: Law, limit: Callable[[Tensor], Tensor], rng: torch.Generator) -> Network:
     """Return the law with noise on its inputs, which shows more of the plant."""
 
     def _act(observation: Tensor) -> Tensor:
@@ -259,18 +243,15 @@ def improve(
         if failures >= PATIENCE:
             break
         begun = starts(network, env, rows, rng, periods)
-        flown = imagine(env, network, begun, periods)
-        earned = imagined_rewards(env, begun, flown)
+        earned = imagined_rewards(env, imagine(env, network, begun, periods))
         way = _better(network, env, begun, rng, periods, least := float(earned.amin()))
         # The way to the starts, that of the policy, those of all signals, and the best one once more.
         imagined += STARTS * periods * (POPULATION * DRAWS + 3)
-        more = imagined_rewards(env, begun, way, least).sum(0) - earned.sum(0)
+        more = imagined_rewards(env, way, least).sum(0) - earned.sum(0)
         alive, gained = way.alive[1:], more > GAINED * more.amax()
         if not bool(alive.any()):
             break
-        seen = env.task.observation(
-            way.states[:-1], begun.params.expand(periods, *begun.params.shape), way.times[:-1]
-        ).float()
+        seen = way.observations(env.task).float()
         observations, wanted = zip(*kept, (seen[alive], way.actions[alive]), strict=True)
         _lesson(network, torch.cat(observations), torch.cat(wanted), UPDATES, rng)
         kept.append((seen[alive & gained], way.actions[alive & gained]))
@@ -286,11 +267,8 @@ def improve(
 @torch.no_grad()
 def starts(network: Network, env: ControlEnv, rows: Rows, rng: torch.Generator, periods: int) -> Rows:
     """Return where ways begin: half of them where episodes do, the others at a moment of an episode of the policy."""
-    task, batch = env.task, torch.Size((STARTS,))
-    nothing, zero = torch.zeros(STARTS, env.system.signature.n_u), torch.zeros(STARTS, 1)
-    x, params = task.initial_state(batch, rng).float(), task.sample(batch, rng)
     # A way is timed for inputs that act at once, as those of the model do.
-    begun = replace(rows, x=x, held=nothing, params=params, t=zero, kept=False, late=None)
+    begun = replace(Rows.draw(env, STARTS, rng), reach=rows.reach, strength=rows.strength)
     flown = imagine(env, network, begun, periods)
     moment = torch.randint(periods + 1, (STARTS,), generator=rng)
     moment[::2] = 0
@@ -315,7 +293,7 @@ def _better(
 
     def _earned(drawn: Tensor) -> Tensor:
         flown = imagine(env, _on_top(network, drawn, acting, env.task.limit), many, periods)
-        return imagined_rewards(env, many, flown, least).sum(0)
+        return imagined_rewards(env, flown, least).sum(0)
 
     nothing = torch.zeros(n, max(2, acting // KNOT), n_u)  # the policy itself is among the ways
     best = cross_entropy(_earned, nothing, POPULATION, range(DRAWS), MOST, rng)
@@ -333,20 +311,16 @@ def _on_top(network: Network, knots: Tensor, acting: int, limit: Callable[[Tenso
     return _act
 
 
-def imagined_rewards(env: ControlEnv, rows: Rows, window: Window, least: float = math.inf) -> Tensor:
+def imagined_rewards(env: ControlEnv, window: Window, least: float = math.inf) -> Tensor:
     """Return what each period of a window earns, `(T, rows)`; those after divergence earn as little as the worst.
 
     Where all diverge at once that is minus infinity.
 
     Args:
         env: Imagined environment.
-        rows: Where the window began.
         window: What was imagined.
         least: What has earned least in a window that this one is compared with; none if omitted.
     """
-    free = torch.zeros(window.actions.shape[:-1], dtype=torch.bool)
-    params = rows.params.expand(len(free), *rows.params.shape)
-    x, x_next, alive = window.states[:-1], window.states[1:], window.alive[1:]
-    reward = env.task.earned(x, window.actions, x_next, params, window.times[1:], free)
+    reward, alive = window.rewards(env.task), window.alive[1:]
     worst = min(least, float(reward[alive].amin())) if bool(alive.any()) else least
     return reward.where(alive, worst if math.isfinite(worst) else -math.inf)

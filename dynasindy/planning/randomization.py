@@ -81,17 +81,3 @@ class InputStrength:
             acting: What `acting` returned, `(*batch, rows, n_u)`.
         """
         return self.factor * ((acting > self.limits[0]) & (acting < self.limits[1]))
-
-
-def draw_delays(most: float, rows: int, rng: torch.Generator) -> Tensor | None:
-    """Return by how much the inputs of so many episodes are late, `(rows, 1)`; None if none is.
-
-    About one in two is late, and by as much as may be: what lies between is easier than the ends, and a policy that
-    was planned with delays drawn evenly from between has less margin.
-
-    Args:
-        most: Longest delay [control periods], up to 1.
-        rows: Number of episodes.
-        rng: Source of the delays.
-    """
-    return most * (torch.rand(rows, 1, generator=rng) < 0.5).float() if most else None

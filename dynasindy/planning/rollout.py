@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 
@@ -39,6 +39,7 @@ from dynasindy.planning.randomization import InputStrength
 from dynasindy.systems import integrate
 from dynasindy.systems.compiler import find_library
 from dynasindy.systems.machine import Machine
+from dynasindy.tasks import Task
 
 Network = Callable[[Tensor], Tensor]
 """Observations `(*batch, n_o)` to actions `(*batch, n_u)`."""
@@ -72,6 +73,17 @@ class Rows:
     strength: InputStrength | None = None
     late: Tensor | None = None
 
+    @classmethod
+    def start(cls, x: Tensor, params: Tensor, n_u: int) -> Rows:
+        """Return episodes that begin now, after inputs of zero, at states `(rows, n_x)` with task parameters."""
+        return cls(x.float(), torch.zeros(len(x), n_u), params, torch.zeros(len(x), 1))
+
+    @classmethod
+    def draw(cls, env: ControlEnv, number: int, rng: torch.Generator) -> Rows:
+        """Return so many episodes that begin as the task lets them, with drawn references."""
+        batch = torch.Size((number,))
+        return cls.start(env.task.initial_state(batch, rng), env.task.sample(batch, rng), env.system.signature.n_u)
+
 
 @dataclass(frozen=True)
 class Window:
@@ -82,6 +94,7 @@ class Window:
         applied: Inputs that reached the plant, `(T, rows, n_u)`.
         actions: Actions of the policy, `(T, rows, n_u)`; those applied unless the actuator is late, or of another
             strength.
+        params: Task parameters, `(T, rows, *params_shape)`.
         times: `(T + 1, rows, 1)` [s].
         alive: Where the row has not diverged so far, bool `(T + 1, rows)`.
         machine: The machine code that made the window and can go back through it, if any.
@@ -90,9 +103,19 @@ class Window:
     states: Tensor
     applied: Tensor
     actions: Tensor
+    params: Tensor
     times: Tensor
     alive: Tensor
     machine: _MachineRollout | None = None
+
+    def observations(self, task: Task) -> Tensor:
+        """Return what the policy saw, `(T, rows, n_o)`."""
+        return task.observation(self.states[:-1], self.params, self.times[:-1])
+
+    def rewards(self, task: Task) -> Tensor:
+        """Return what each control period earns, `(T, rows)`."""
+        free = torch.zeros(self.actions.shape[:-1], dtype=torch.bool)
+        return task.earned(self.states[:-1], self.actions, self.states[1:], self.params, self.times[1:], free)
 
 
 @torch.no_grad()
@@ -107,10 +130,10 @@ def imagine(env: ControlEnv, network: Network, rows: Rows, steps: int) -> Window
     """
     times = rows.t + env.dt * torch.arange(steps + 1, dtype=rows.x.dtype).reshape(-1, 1, 1)
     rest = None if rows.strength is None else rows.strength.rest(rows.params, times[:-1])
+    params = rows.params.expand(steps, *rows.params.shape)
     machine = _machine(env, network, rows, steps, rest)
     if machine is not None:
-        still = rows.x.new_zeros(steps, *rows.x.shape)
-        free = env.task.observation(still, rows.params.expand(steps, *rows.params.shape), times[:-1])
+        free = env.task.observation(rows.x.new_zeros(steps, *rows.x.shape), params, times[:-1])
         whole, entered, actions = machine.imagine(rows.x, rows.held, free, rows.kept)
     else:
         whole, entered, actions = _imagine(env, network, rows, times[:-1], rest)
@@ -122,6 +145,7 @@ def imagine(env: ControlEnv, network: Network, rows: Rows, steps: int) -> Window
         states=torch.where(kept, whole, x),
         applied=torch.where(kept[1:], entered, nothing),
         actions=torch.where(kept[1:], actions, nothing),
+        params=params,
         times=times,
         alive=alive,
         machine=machine if rows.kept and bool(alive.all()) else None,
@@ -168,11 +192,11 @@ def backward(env: ControlEnv, network: Network, rows: Rows, window: Window) -> T
         # A period that ends in divergence has derivatives without bounds; times zero they would not be zero.
         if not bool(window.alive.all()):
             a, b = (slope.where(window.alive[1:, :, None, None], torch.zeros(())) for slope in (a, b))
-        reward, cost, effort = _cost(env, rows, window)
+        reward, cost, effort = _cost(env, window)
         if window.machine is not None:
             window.machine.adjoint(a, b, cost, effort)
             return reward
-        actions, k = _policy(env, network, rows, window)
+        actions, k = _policy(env, network, window)
         whole = _adjoint(a, b, cost, effort, rows.late, k)
         for acted, slopes in zip(actions, whole.split(CHUNK), strict=True):
             torch.autograd.backward(acted, slopes)
@@ -193,28 +217,25 @@ def sensitivities(env: ControlEnv, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor
     return torch.stack([row[0] for row in rows], -2), torch.stack([row[1] for row in rows], -2)
 
 
-def _policy(env: ControlEnv, network: Network, rows: Rows, window: Window) -> tuple[list[Tensor], Tensor]:
+def _policy(env: ControlEnv, network: Network, window: Window) -> tuple[list[Tensor], Tensor]:
     """Return the actions with their graphs, in chunks of periods, and K, `(T, rows, n_u, n_x)`."""
     actions, gains = [], []
-    for x, t in zip(window.states[:-1].split(CHUNK), window.times[:-1].split(CHUNK)):
+    for x, params, t in zip(*(part.split(CHUNK) for part in (window.states[:-1], window.params, window.times[:-1]))):
         seen = x.detach().requires_grad_()
-        acted = network(env.task.observation(seen, rows.params.expand(len(x), *rows.params.shape), t))
+        acted = network(env.task.observation(seen, params, t))
         columns = [torch.autograd.grad(column.sum(), seen, retain_graph=True)[0] for column in acted.unbind(-1)]
         actions.append(acted)
         gains.append(torch.stack(columns, -2))
     return actions, torch.cat(gains)
 
 
-def _cost(env: ControlEnv, rows: Rows, window: Window) -> tuple[Tensor, Tensor, Tensor | None]:
+def _cost(env: ControlEnv, window: Window) -> tuple[Tensor, Tensor, Tensor | None]:
     """Return mean reward, rows that diverged at zero, and its negative's derivatives.
 
     They are those by states, `(T + 1, rows, n_x)`, and by actions, `(T, rows, n_u)`, None where these cost nothing.
     """
     states, u = (values.detach().requires_grad_() for values in (window.states, window.actions))
-    free = torch.zeros(states[1:].shape[:-1], dtype=torch.bool)
-    params = rows.params.expand(len(free), *rows.params.shape)
-    rewards = env.task.earned(states[:-1], u, states[1:], params, window.times[1:], free)
-    reward = (rewards * window.alive[-1]).mean()
+    reward = (replace(window, states=states, actions=u).rewards(env.task) * window.alive[-1]).mean()
     slope = effort = None
     if reward.requires_grad:
         slope, effort = torch.autograd.grad(-reward, (states, u), allow_unused=True)

@@ -24,14 +24,15 @@ around the best of them (Rubinstein 1999).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.regulator import Regulator, Weights
-from dynasindy.planning.rollout import sensitivities
+from dynasindy.planning.rollout import Network, Rows, imagine, sensitivities
 from dynasindy.progress import track
 from dynasindy.systems import integrate
 from dynasindy.systems.equilibria import Equilibria
@@ -93,16 +94,13 @@ class TrajectoryLibrary:
         regulator = Regulator.of(env, rests, WEIGHTS)
         if regulator is None:
             return None, 0
-        batch = torch.Size((STARTS,))
-        x, params = env.task.initial_state(batch, rng).float(), env.task.sample(batch, rng)
-        reference = env.task.reference(params, torch.zeros(STARTS, 1)).float()
-        caught, imagined = _find_caught_trajectories(env, regulator, x, params, reference, rng)
-        ways = [(way, reference[i]) for i, way in caught.items()]
-        if not ways:
+        rows = Rows.draw(env, STARTS, rng)
+        caught, imagined = _find_caught_trajectories(env, regulator, rows, rng)
+        if not caught:
             return None, imagined
-        parts = [_along(env, regulator, way, r) for way, r in ways]
-        points, inputs, gains, values = (torch.cat(part) for part in zip(*parts, strict=True))
-        return cls(regulator, points, inputs, gains, values), imagined
+        reference = env.task.reference(rows.params, rows.t).float()
+        parts = [_along(env, regulator, way, reference[i]) for i, way in caught.items()]
+        return cls(regulator, *(torch.cat(part) for part in zip(*parts, strict=True))), imagined
 
     def __call__(self, observation: Tensor) -> Tensor:
         """Return inputs `(*batch, n_u)` for observations `(*batch, n_o)`."""
@@ -127,43 +125,59 @@ class TrajectoryLibrary:
         return x + AROUND * self.scale * torch.randn(x.shape, generator=rng)
 
 
+class _Trajectory(NamedTuple):
+    """A way from one start: states `(T + 1, n_x)` and inputs `(T, n_u)`."""
+
+    states: Tensor
+    inputs: Tensor
+
+
 def _find_caught_trajectories(
-    env: ControlEnv, regulator: Regulator, x: Tensor, params: Tensor, reference: Tensor, rng: torch.Generator
-) -> tuple[dict[int, Trajectory], int]:
+    env: ControlEnv, regulator: Regulator, rows: Rows, rng: torch.Generator
+) -> tuple[dict[int, _Trajectory], int]:
     """Return ways to where the regulator catches the plant, by the number of their start, and what was imagined.
 
     Some starts have no way.
     """
-    nothing = x.new_zeros(0, env.system.signature.n_u)
-    found = {i: Trajectory(x[i : i + 1], nothing) for i in _caught(env, regulator, x, reference)}
-    imagined = 0
+    found, imagined = {i: _Trajectory(rows.x[i : i + 1], rows.held[:0]) for i in _caught(env, regulator, rows)}, 0
+    reference = env.task.reference(rows.params, rows.t).float()
     for periods in (length for length in LENGTHS if length <= env.task.max_steps):
-        left = [i for i in range(len(x)) if i not in found]
+        left = [i for i in range(len(rows.x)) if i not in found]
         if not left:
             break
-        ways = _search(env, x[left], params[left], periods, rng)
+        ways = _search(env, rows.x[left], rows.params[left], periods, rng)
         imagined += len(left) * POPULATION * ROUNDS * periods
-        states = torch.stack([way.states for way in ways], 1)
-        rank = regulator.value(states, reference[left]).argsort(0)
+        rank = regulator.value(ways.states, reference[left]).argsort(0)
         for k in rank[:TRIED]:
-            here = states[k, torch.arange(len(left))]
-            for j in _caught(env, regulator, here, reference[left]):
-                found.setdefault(left[j], Trajectory(ways[j].states[: k[j] + 1], ways[j].inputs[: k[j]]))
+            here = Rows.start(ways.states[k, torch.arange(len(left))], rows.params[left], rows.held.shape[1])
+            for j in _caught(env, regulator, here):
+                found.setdefault(left[j], _Trajectory(ways.states[: k[j] + 1, j], ways.inputs[: k[j], j]))
     return found, imagined
 
 
-def _caught(env: ControlEnv, regulator: Regulator, x: Tensor, reference: Tensor) -> list[int]:
-    """Return the places of the states `(n, n_x)` from which the regulator brings the model to rest."""
-    states = x
-    last = []
-    for k in range(WATCHED):
-        states = _roll(env, states, regulator.at(states, reference).unsqueeze(0))[-1]
-        last += [regulator.home(states, reference, NEAR)] if k >= WATCHED - STILL else []
-    return [int(i) for i in torch.stack(last).all(0).nonzero().squeeze(-1)]
+def _caught(env: ControlEnv, regulator: Regulator, rows: Rows) -> list[int]:
+    """Return the places of the rows from which the regulator brings the model to rest."""
+    return [int(i) for i in at_rest(env, regulator, regulator, rows, WATCHED).nonzero().squeeze(-1)]
+
+
+@torch.no_grad()
+def at_rest(env: ControlEnv, law: Network, regulator: Regulator, rows: Rows, periods: int) -> Tensor:
+    """Return which imagined episodes rest at their reference in the end, bool `(rows,)`.
+
+    Args:
+        env: Imagined environment.
+        law: What acts, observations to inputs.
+        regulator: Regulator of the model, which knows the rest of each reference.
+        rows: Where the episodes begin.
+        periods: Their length [control periods].
+    """
+    whole = imagine(env, law, replace(rows, kept=False), periods)
+    reference = env.task.reference(rows.params, torch.full_like(rows.t, periods * env.dt)).float()
+    return regulator.home(whole.states[-STILL:], reference, NEAR).all(0) & whole.alive[-1]
 
 
 def _along(
-    env: ControlEnv, regulator: Regulator, way: Trajectory, reference: Tensor
+    env: ControlEnv, regulator: Regulator, way: _Trajectory, reference: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return points, inputs, gains and values of the rest and of a way, all counted from the rest."""
     x_e, u_e = regulator.rest(reference)
@@ -184,33 +198,18 @@ def _along(
     return torch.stack(x), torch.stack(u), torch.stack(gains), torch.stack(values)
 
 
-@dataclass(frozen=True)
-class Trajectory:
-    """One start's best signal, and where it leads.
-
-    Attributes:
-        states: `(T + 1, n_x)`.
-        inputs: `(T, n_u)`.
-    """
-
-    states: Tensor
-    inputs: Tensor
-
-
 @torch.no_grad()
-def _search(env: ControlEnv, x: Tensor, params: Tensor, periods: int, rng: torch.Generator) -> list[Trajectory]:
-    """Return the best way of so many periods that was found from each start, `(n, n_x)`, by the task's reward."""
-    n, n_u, knots = len(x), env.system.signature.n_u, max(2, periods // KNOT)
+def _search(env: ControlEnv, x: Tensor, params: Tensor, periods: int, rng: torch.Generator) -> _Trajectory:
+    """Return the best ways of so many periods from starts `(n, n_x)`, by the task's reward, with n behind time."""
     starts, repeated = x.repeat_interleave(POPULATION, 0), params.repeat_interleave(POPULATION, 0)
 
     def _earned(drawn: Tensor) -> Tensor:
         return _objective(env, _roll(env, starts, signal(drawn, periods, env.task.limit)), repeated)
 
     rounds = track("search for ways from afar", range(ROUNDS), ROUNDS, "rounds")
-    found = cross_entropy(_earned, torch.zeros(n, knots, n_u), POPULATION, rounds, LARGEST, rng)
-    inputs = signal(found, periods, env.task.limit)
-    states = _roll(env, x, inputs)
-    return [Trajectory(states[:, i], inputs[:, i]) for i in range(n)]
+    knots = torch.zeros(len(x), max(2, periods // KNOT), env.system.signature.n_u)
+    inputs = signal(cross_entropy(_earned, knots, POPULATION, rounds, LARGEST, rng), periods, env.task.limit)
+    return _Trajectory(_roll(env, x, inputs), inputs)
 
 
 @torch.no_grad()

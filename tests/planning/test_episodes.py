@@ -29,3 +29,11 @@ def test_a_quarter_begins_at_real_states_and_another_goes_on(setting, small):
         # Where the model diverged nothing goes on.
         assert on.float().mean().item() == pytest.approx(0.0 if diverged else 0.25, abs=0.0 if diverged else 0.04)
     assert starts[starts > 0].unique().tolist() == [float(n) for n in range(1, 21)]
+
+
+def test_one_episode_of_two_is_late_by_as_much_as_may_be(setting, small):
+    env, agent, _ = setting()
+    planner = GradientPlanning(env, agent, **(small | {"rollouts": 4000, "input_delay": 0.7}))
+    drawn = _Episodes(planner)._draw_delays()
+    assert drawn.shape == (4000, 1) and sorted(drawn.unique().tolist()) == pytest.approx([0.0, 0.7])
+    assert float((drawn > 0).float().mean()) == pytest.approx(0.5, abs=0.03)  # of 4000 throws of a coin

@@ -7,9 +7,9 @@ from torch import nn
 
 from dynasindy.agents.networks import MLP
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.gradient_planning import references
 from dynasindy.planning.imitation import ROWS, _imitate, arrives, hold, tolerates_delay
 from dynasindy.planning.regulator import Regulator, Weights
+from dynasindy.planning.rollout import Rows
 
 
 def test_a_policy_that_imitates_the_law_holds_the_plant_and_keeps_to_it(inverted):
@@ -54,7 +54,7 @@ def test_a_policy_begins_as_the_law_only_if_that_earns_more(inverted):
         torch.manual_seed(0)
         network = MLP(3, 1, (8,), squash=True)
         before = nn.utils.parameters_to_vector(network.parameters()).clone()
-        rows = references(env, 4, torch.Generator())
+        rows = Rows.draw(env, 4, torch.Generator())
         earned = hold(network, env, rests, rows, score(network), torch.Generator().manual_seed(0))
         return earned.score, bool((nn.utils.parameters_to_vector(network.parameters()) == before).all())
 
@@ -81,6 +81,6 @@ def test_inputs_a_period_late_hold_a_pole_only_where_it_falls_by_less_than_twice
     for dt, borne in ((0.05, True), (0.4, False)):
         env, rests = inverted(box=0.01, start={"theta": [-0.05, 0.05]})
         env = ControlEnv(env.system, env.task, dt, 8)
-        rows = references(env, 8, torch.Generator().manual_seed(0))
+        rows = Rows.draw(env, 8, torch.Generator().manual_seed(0))
         rows.late = torch.ones(8, 1)
         assert tolerates_delay(env, rests, rows) is borne

@@ -50,7 +50,7 @@ def lazy():
 def earned(env, network):
     x = torch.tensor([[HERE]])
     rows = Rows(x, torch.zeros(1, 1), torch.zeros(1, 0), torch.zeros(1, 1))
-    return float(imagined_rewards(env, rows, imagine(env, network, rows, PERIODS)).sum())
+    return float(imagined_rewards(env, imagine(env, network, rows, PERIODS)).sum())
 
 
 STAYED = 0.5 * PERIODS
@@ -63,7 +63,7 @@ def test_the_best_way_is_that_over_the_border():
     rng, network = torch.Generator().manual_seed(0), lazy()
     begun = starts(network, env, rows, rng, PERIODS)
     way = _better(network, env, begun, rng, PERIODS)
-    found = imagined_rewards(env, begun, way).sum(0)
+    found = imagined_rewards(env, way).sum(0)
     assert earned(env, network) == pytest.approx(STAYED)
     assert float(found.min()) >= STAYED - 1e-4  # no less than the policy
     assert float(found.mean()) > 0.85 * GONE
@@ -87,14 +87,14 @@ def test_what_comes_after_divergence_earns_as_little_as_the_worst_before():
     rows = Rows(torch.tensor([[0.95], [0.0]]), torch.zeros(2, 1), torch.zeros(2, 0), torch.zeros(2, 1))
     rows.reach = torch.tensor([1.02])
     window = imagine(env, lambda o: torch.ones(2, 1), rows, 2)
-    found = imagined_rewards(env, rows, window)
+    found = imagined_rewards(env, window)
     p = torch.tensor([[0.1], [0.2]])
     wanted = two_hills(None, None, p)
     torch.testing.assert_close(found[:, 1], wanted)
     assert found[:, 0].tolist() == pytest.approx([float(wanted.min())] * 2)
     rows.reach = torch.tensor([1e-9])
     window = imagine(env, lambda o: torch.ones(2, 1), rows, 2)
-    assert imagined_rewards(env, rows, window).isneginf().all()
+    assert imagined_rewards(env, window).isneginf().all()
 
 
 def test_planning_searches_where_there_are_no_references(monkeypatch):

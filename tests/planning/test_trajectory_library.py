@@ -11,6 +11,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.planning import trajectory_library
 from dynasindy.planning.plan_settings import find_task_equilibria
 from dynasindy.planning.regulator import Regulator
+from dynasindy.planning.rollout import Rows
 from dynasindy.planning.trajectory_library import (
     NEARNESS,
     WEIGHTS,
@@ -98,11 +99,10 @@ def test_gains_along_a_way_are_those_of_the_riccati_recursion():
     """One way by hand: sampled derivatives by central differences, then P and K backwards in NumPy."""
     env, rests = setting(start=0.9)
     regulator = Regulator.of(env, rests, WEIGHTS)
-    x, reference = torch.tensor([[0.9, 0.0]]), torch.zeros(1, 1)
-    params = env.task.sample(torch.Size((1,)), torch.Generator())
-    way = _find_caught_trajectories(env, regulator, x, params, reference, torch.Generator().manual_seed(0))[0][0]
+    rows = Rows.start(torch.tensor([[0.9, 0.0]]), env.task.sample(torch.Size((1,)), torch.Generator()), 1)
+    way = _find_caught_trajectories(env, regulator, rows, torch.Generator().manual_seed(0))[0][0]
     assert len(way.inputs) > 3
-    _, _, gains, values = _along(env, regulator, way, reference[0])
+    _, _, gains, values = _along(env, regulator, way, torch.zeros(1))
     assert len(gains) == len(way.inputs) + 1
 
     def after(z):
