@@ -71,16 +71,16 @@ def settle() -> Any:
 @pytest.fixture(scope="session")
 def hearing() -> Any:
     """Return a callback of a run that keeps what the plant showed."""
-    from dynasindy.dyna.callback import Callback, Cost, Episode
+    from dynasindy.dyna.callback import Callback, Episode, Place
 
     class Hearing(Callback):
         def __init__(self) -> None:
             self.rollouts: list[Any] = []
 
-        def fitted(self, report: object, excited: Any, cost: Cost) -> None:
+        def fitted(self, report: object, excited: Any, place: Place) -> None:
             self.rollouts.append(excited)
 
-        def episode(self, episode: Episode, cost: Cost) -> None:
+        def episode(self, episode: Episode, place: Place) -> None:
             self.rollouts.append(episode.rollout)
 
     return Hearing

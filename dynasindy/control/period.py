@@ -11,11 +11,12 @@ from dynasindy.envs import ControlEnv
 from dynasindy.findings import Finding, note
 from dynasindy.identification.source import PERIOD, Source, closest_period
 from dynasindy.identification.verdict import logged_input_ranges
-from dynasindy.planning.plan_settings import LONGEST, settles
+from dynasindy.planning.plan_settings import LONGEST, choose_plan_settings, find_task_equilibria
+from dynasindy.planning.regulator import Weights, regulated, squares_of
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.lag_states import lag_state_ranges
 from dynasindy.sindy.reconstruction import rate_states, reconstruct
-from dynasindy.systems.equilibria import LocalModes
+from dynasindy.systems.equilibria import LocalModes, slopes
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Tracking
 
@@ -28,6 +29,12 @@ PLACES = 64
 SHARED = 0.25
 """Part of those places in which the model has to swing as fast, for the period to follow it: single ones lie where the
 equations bend, or where they only guess."""
+SETTLED = 0.05
+"""Share of a step within which outputs have settled, as the longest window has to see."""
+FINE = 64
+"""Steps in which settling is told before they become twice as long: so they are some hundredths of the time so far."""
+BEYOND = 2.0
+"""How much longer settling is watched than a mode takes: several of one rate, as of tanks in a row, take longer."""
 
 
 def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> tuple[float, Finding | None]:
@@ -55,7 +62,7 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> tupl
         if samples:
             return _chosen(samples * step, kind, fastest)
         return _chosen(step, f"sample_{kind}", fastest)
-    seconds = settles(ControlEnv(model, task, usual), x, u)
+    seconds = _settles(ControlEnv(model, task, usual), x, u)
     if (slow := _lengthened(usual, seconds / LONGEST, longest, step)) > usual:
         return _chosen(slow, "settles", seconds)
     if usual < PERIOD - step:
@@ -112,6 +119,46 @@ def _fastest_motion(model: SindyModel, x: Tensor, u: Tensor, outputs: list[int])
 def _shared(times: list[float]) -> list[float]:
     """Return the time that is as short in enough places; nothing of no places."""
     return sorted(times)[max(0, math.ceil(SHARED * len(times)) - 1) :][:1]
+
+
+def _settles(env: ControlEnv, x: Tensor, u: Tensor, share: float = SETTLED) -> float:
+    """Return how long outputs take to settle within a share of a step under a linear regulator [s].
+
+    It is that of steps between the rests, with the model linear as at the middle one, or the median of the places
+    `(n, n_x)`, `(n, n_u)` where that is less: dry friction holds a plant at rest as if it moved slowly. It is 0 where
+    there is no rest or no regulator, or a policy begins as one, which sees the end of a motion whatever the window.
+    """
+    rests, weights = find_task_equilibria(env), Weights()
+    if rests is None or not len(rests) or choose_plan_settings(env, rests).warm_start:
+        return 0.0
+    assert isinstance(env.task, Tracking)
+    moved, k, extents = rests.moved, rests.middle(), torch.full((len(rests.moved),), math.inf, dtype=torch.float64)
+    extents[env.task.outputs] = env.task.boxes()
+    away, q = (rests.x - rests.x[k])[:, moved], squares_of(env.task, weights)[moved]
+    places = torch.cat([rests.x[k : k + 1], x.double()]), torch.cat([rests.u[k : k + 1], u.double()])
+    found = []
+    for a, b in zip(*slopes(env.system, *places), strict=True):
+        law = regulated(a[moved][:, moved], b[moved], env.dt, q, weights.inputs, env.system.step)
+        end = 0.0 if law is None else -math.log(share) * BEYOND * law.slowest
+        found.append(math.nan if law is None else _settling(away, law.closed.mT, extents[moved], share, end))
+    seconds = env.dt * torch.tensor(found, dtype=torch.float64)
+    return float(seconds[0].fmin(seconds[1:].nanmedian()).nan_to_num(nan=0.0))
+
+
+def _settling(x: Tensor, power: Tensor, extents: Tensor, share: float, end: float) -> float:
+    """Return when outputs stay within a share of what they are at first, watched until an end [periods].
+
+    Slow modes that outputs do not show, as a wall behind air whose temperature is held, do not count.
+    """
+    sizes, times, step, k = [], [], 1, 0
+    while k <= end:
+        for _ in range(FINE):
+            sizes.append((x / extents).abs().amax())
+            times.append(k := k + step)
+            x = x @ power
+        power, step = power @ power, 2 * step
+    outside = (torch.stack(sizes) > share * sizes[0]).nonzero()
+    return float(times[int(outside.amax())]) if len(outside) else 0.0
 
 
 def _lengthened(usual: float, wanted: float, longest: float, step: float) -> float:

@@ -1,26 +1,30 @@
-"""What the loop tells the outside: its place, costs, episodes, and the one hook that logging hangs on."""
+"""What the loop tells the outside: its place and cost, episodes, and the one hook that logging hangs on."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import asdict, dataclass, fields
 
 from tensordict import TensorDict
 
 from dynasindy.dyna.refit import Refit
 from dynasindy.planning import ModelError, Planned
 
+FIRST = ("the excitation", "the first planning phase")
+"""Phases before the first episode."""
+
 
 @dataclass
-class Cost:
-    """What a run has cost so far; evaluation is not part of it.
+class Place:
+    """Where a run stands, and what it has cost so far, without evaluation; a resumed run goes on from there.
 
     Attributes:
+        number: Phases that are done: the excitation with the first fit, the first planning phase, then episodes.
         real_steps: Control periods on the real system, excitation included.
         imagined: Imagined transitions.
         updates: Gradient updates.
     """
 
+    number: int = 0
     real_steps: int = 0
     imagined: int = 0
     updates: int = 0
@@ -29,23 +33,6 @@ class Cost:
         """Add the cost of a planning phase."""
         self.imagined += planned.imagined
         self.updates += planned.updates
-
-
-FIRST = ("the excitation", "the first planning phase")
-"""Phases before the first episode."""
-
-
-@dataclass
-class Place:
-    """Where a run stands; a resumed run goes on from there.
-
-    Attributes:
-        number: Phases that are done: the excitation with the first fit, the first planning phase, then episodes.
-        cost: What the run has cost so far.
-    """
-
-    number: int = 0
-    cost: Cost = field(default_factory=Cost)
 
     @property
     def episodes(self) -> int:
@@ -62,13 +49,13 @@ class Place:
             return FIRST[self.number]
         return "the last evaluation" if self.episodes == episodes else f"episode {self.episodes + 1}"
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, int]:
         """Return it as plain numbers."""
         return asdict(self)
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, state: dict[str, int]) -> None:
         """Restore what `state_dict` returned."""
-        self.number, self.cost = state["number"], Cost(**state["cost"])
+        self.number, self.real_steps, self.imagined, self.updates = (state[each.name] for each in fields(self))
 
 
 @dataclass(frozen=True)
@@ -95,10 +82,10 @@ class Episode:
 class Callback:
     """Does nothing; subclasses override what they want to hear of."""
 
-    def fitted(self, report: object, excited: TensorDict, cost: Cost) -> None:
+    def fitted(self, report: object, excited: TensorDict, place: Place) -> None:
         """Hear of the first fit: its report, the excitation data `(T,)` and the cost so far."""
 
-    def episode(self, episode: Episode, cost: Cost) -> None:
+    def episode(self, episode: Episode, place: Place) -> None:
         """Hear of a finished episode and the cost so far."""
 
     def reached(self, place: Place) -> None:

@@ -39,20 +39,19 @@ def train(
     """
     agent, replay, planner = parts.agent, parts.replay, parts.planner
     place = place or Place()
-    cost = place.cost
     if place.number == 0:
         # Data collection: excite the real system.
         excited = excite(parts)
         # Initialization: B <- D_real; the actor and the critics were drawn with the agent.
         replay.extend_real(excited)
-        cost.real_steps += excited.numel()
+        place.real_steps += excited.numel()
         # Model learning: f_SINDy from D_real.
-        callback.fitted(first_fit(parts, excited), excited, cost)
+        callback.fitted(first_fit(parts, excited), excited, place)
         place.number = 1
         callback.reached(place)
     if place.number == 1:
         # Departure: the first planning phase comes before the first episode, with the model of the excitation.
-        cost.add(planner.plan())
+        place.add(planner.plan())
         place.number = 2
         callback.reached(place)
     for number in range(place.episodes + 1, settings.episodes + 1):
@@ -60,20 +59,20 @@ def train(
         report_progress("real episode")
         rollout = explore(parts)
         replay.extend_real(rollout)
-        cost.real_steps += rollout.numel()
+        place.real_steps += rollout.numel()
         # Policy learning.
         updates = round(settings.updates_per_step * rollout.numel()) if planner.learns_by_td3 else 0
         for _ in track("policy learning", range(updates), updates, "updates"):
             agent.update(replay.sample())
         agent.check()
-        cost.updates += updates
+        place.updates += updates
         # Planning: after every N episodes, on the updated model if it is trusted.
         error, refitted = replay_error(parts.model_env, rollout), None
         one_step = replay_error(parts.model_env, rollout, torch.arange(rollout.numel()), 1)
         if planner.due(number):
             refitted = refit(parts, settings, rollout)
-            cost.add(planner.plan()) if parts.gate.judge(refitted.error) else planner.distrust()
-        callback.episode(Episode(number, rollout, error, one_step, parts.gate.is_open, refitted), cost)
+            place.add(planner.plan()) if parts.gate.judge(refitted.error) else planner.distrust()
+        callback.episode(Episode(number, rollout, error, one_step, parts.gate.is_open, refitted), place)
         place.number += 1
         callback.reached(place)
     # Deployment.

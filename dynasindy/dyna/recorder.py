@@ -22,7 +22,7 @@ from torchrl.record.loggers import Logger
 from dynasindy.control import Controller, save
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import NAME
-from dynasindy.dyna.callback import Callback, Cost, Episode, Place
+from dynasindy.dyna.callback import Callback, Episode, Place
 from dynasindy.dyna.components import Components
 from dynasindy.dyna.excite import excitation_findings
 from dynasindy.dyna.verdict import distrusted, judge_run
@@ -94,7 +94,7 @@ class Recorder(Callback):
         self.decisions: list[dict[str, float | None]] = []
         self.start, self.seconds_before = time.perf_counter(), 0.0
         self.written = -WRITTEN_EVERY
-        self.cost, self.evaluation_steps = Cost(), 0
+        self.place, self.evaluation_steps = Place(), 0
         self.excitation: list[dict[str, Any]] = []
         self.untrained: Summary = {}
         self.latest: Summary = {}
@@ -121,20 +121,20 @@ class Recorder(Callback):
         """Report how many episodes are done."""
         report_progress("run", done, self.episodes, "episodes", note, outer=True)
 
-    def fitted(self, report: object, excited: TensorDict, cost: Cost) -> None:
+    def fitted(self, report: object, excited: TensorDict, place: Place) -> None:
         """Write the excitation data, and what the fit says of itself and of them."""
-        self.cost = cost
+        self.place = place
         if isinstance(report, FitReport):
             delay = getattr(self.parts.world_model, "delay", 0.0)
             text = f"found: {note('model.delay', seconds=delay)}\n" if delay else ""
             write_text(self.folder / IDENTIFICATION, f"{FIRST}\n{report.to_text()}\n{text}")
         self.excitation = records(excitation_findings(self.parts, excited))
-        self.progress(0, f"real steps {cost.real_steps}")
+        self.progress(0, f"real steps {place.real_steps}")
         self._write_rollout("excitation", excited)
 
-    def episode(self, episode: Episode, cost: Cost) -> None:
+    def episode(self, episode: Episode, place: Place) -> None:
         """Write a row, and the model's prediction of the first and of the last episode."""
-        self.cost = cost
+        self.place = place
         last = episode.number == self.episodes
         due = last or episode.number % self.evaluating.every == 0
         if due:
@@ -147,12 +147,12 @@ class Recorder(Callback):
             "reward_error": error.reward_error,
             "state_error": error.state_error,
             "model_trusted": float(episode.trusted),
-            **self._spent(cost),
+            **self._spent(),
         }
         shown = {key: value for key, value in self.latest.items() if key.startswith(HEADLINE)}
         row |= {f"evaluated_{key}": value if due else None for key, value in shown.items()}
         came = f"return {row['return']:.1f}, open-loop reward error {error.reward_error:.3g}"
-        self.progress(episode.number, f"{came}, real steps {cost.real_steps}")
+        self.progress(episode.number, f"{came}, real steps {place.real_steps}")
         self.rows.append(row)
         self._log_scalars(row)
         self._log_decision(episode)
@@ -198,7 +198,7 @@ class Recorder(Callback):
         metrics = {
             **settings,
             "episodes": len(self.rows),
-            "cost": self._spent(self.cost) | {"evaluation_steps": self.evaluation_steps},
+            "cost": self._spent() | {"evaluation_steps": self.evaluation_steps},
             "scenario": final.scenario,
             "evaluation": summarise(final),
             "held": held,
@@ -226,7 +226,7 @@ class Recorder(Callback):
     def state_dict(self) -> dict[str, Any]:
         """Return what was logged so far."""
         logged = {name: getattr(self, name) for name in self._logged}
-        return {**logged, "cost": asdict(self.cost), "seconds": self._seconds()}
+        return {**logged, "seconds": self._seconds()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned, and bring the logs in the folder back to that state.
@@ -239,8 +239,7 @@ class Recorder(Callback):
                 raise ValueError(f"{name!r} is no name of a logged figure")
         for name in self._logged:
             setattr(self, name, state[name])
-        self.cost, self.seconds_before = Cost(**state["cost"]), state["seconds"]
-        self.start = time.perf_counter()
+        self.start, self.seconds_before = time.perf_counter(), state["seconds"]
         for name in ("scalars", "tensorboard"):
             shutil.rmtree(self.folder / name, ignore_errors=True)
         self._open_logs()
@@ -253,12 +252,12 @@ class Recorder(Callback):
     def _seconds(self) -> float:
         return self.seconds_before + time.perf_counter() - self.start
 
-    def _spent(self, cost: Cost) -> dict[str, float]:
+    def _spent(self) -> dict[str, float]:
         return {
-            "real_steps": cost.real_steps,
-            "plant_seconds": cost.real_steps * self.plant.dt,
-            "imagined_transitions": cost.imagined,
-            "updates": cost.updates,
+            "real_steps": self.place.real_steps,
+            "plant_seconds": self.place.real_steps * self.plant.dt,
+            "imagined_transitions": self.place.imagined,
+            "updates": self.place.updates,
             "wall_seconds": self._seconds(),
         }
 

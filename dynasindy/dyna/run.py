@@ -61,6 +61,7 @@ def run(
     """
     parts, place, checkpoints = recipe.build(), Place(), Checkpoints(folder / "checkpoints")
     recorder = Recorder(folder, parts, evaluating, recipe.train.episodes)
+    recorder.place = place
     kept: dict[str, Any] = {"place": place, "parts": parts, "recorder": recorder}
     with claimed(folder):
         refuse_links(folder)

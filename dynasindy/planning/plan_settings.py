@@ -22,8 +22,8 @@ from torch import Tensor
 from torch.quasirandom import SobolEngine
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.regulator import Regulator, Weights, regulated, squares_of
-from dynasindy.systems.equilibria import Equilibria, find_equilibria, growth, modes, slopes
+from dynasindy.planning.regulator import Regulator, Weights
+from dynasindy.systems.equilibria import Equilibria, find_equilibria, growth, modes
 from dynasindy.tasks import Tracking
 from dynasindy.text import format_duration
 
@@ -41,8 +41,6 @@ WINDOW = 20
 """Windows are multiples of so many control periods."""
 LONGEST = 80
 """Longest window that follows from a model."""
-SETTLED = 0.05
-"""Share of a step within which outputs have settled, as the longest window has to see."""
 UNTOLD = 100
 """Window where nothing tells how long what is done now matters; Pendulum-v1 is swung up by its own reward with it, and
 not with 60."""
@@ -129,50 +127,16 @@ def choose_plan_settings(env: ControlEnv, rests: Equilibria | None, finest: int 
     grown = max(growth(a, scale, seconds, step) for a in slopes)
     fastest = max(float(modes(a).abs().max()) for a in slopes)
     substeps = max(1, min(math.ceil(fastest * env.dt / STEP - 1e-9), SUBSTEPS)) if step is None else 1
-    regulator = Regulator.of(env, rests, Weights())
-    slowest = regulator.slowest if regulator else math.nan
-    window = 60 if math.isnan(slowest) else WINDOW * round(TIME_CONSTANTS * slowest / WINDOW)
-    window = max(2 * WINDOW, min(window, LONGEST))
-    loop = "no linear regulator holds it"
+    regulator, window, loop = Regulator.of(env, rests, Weights()), 60, "no linear regulator holds it"
     if regulator is not None:
+        slowest = regulator.slowest
+        window = max(2 * WINDOW, min(WINDOW * round(TIME_CONSTANTS * slowest / WINDOW), LONGEST))
         loop = f"under a linear regulator its slowest motion has a time constant of {slowest:.3g} control periods"
-    grows, narrow = grown > GROWN, ""
-    if regulator is not None and not grows:
-        narrow = _narrow(regulator.task)
+    grows = grown > GROWN
+    narrow = "" if regulator is None or grows else _narrow(regulator.task)
     why = "; ".join(filter(None, (_fate(slopes, grown, seconds, step), loop, never, narrow)))
     settings = PlanSettings(window=window, substeps=substeps, warm_start=bool(narrow), why=why)
     return replace(settings, lr=3e-3, updates=200, warm_start=regulator is not None) if grows else settings
-
-
-def settles(env: ControlEnv, x: Tensor, u: Tensor, share: float = SETTLED) -> float:
-    """Return how long the outputs of a model take to settle under a linear regulator [s]; 0 where it does not matter.
-
-    It is that of steps between the rests, with the model linear as at the middle one, or the median of some other
-    places where that is less: dry friction holds a plant at rest as if it moved slowly. It does not matter where a
-    policy begins as a regulator, as that sees the end of a motion whatever the window, and where there is no rest or no
-    regulator.
-
-    Args:
-        env: Imagined environment.
-        x: States of the places, such as those of a log, `(n, n_x)`.
-        u: Inputs there, `(n, n_u)`.
-        share: Share of a step within which outputs have settled.
-    """
-    rests, weights = find_task_equilibria(env), Weights()
-    if rests is None or not len(rests) or choose_plan_settings(env, rests).warm_start:
-        return 0.0
-    assert isinstance(env.task, Tracking)
-    moved, k, extents = rests.moved, rests.middle(), torch.full((len(rests.moved),), math.inf, dtype=torch.float64)
-    extents[env.task.outputs] = env.task.boxes()
-    away, q = (rests.x - rests.x[k])[:, moved], squares_of(env.task, weights)[moved]
-    places = torch.cat([rests.x[k : k + 1], x.double()]), torch.cat([rests.u[k : k + 1], u.double()])
-    found = []
-    for a, b in zip(*slopes(env.system, *places), strict=True):
-        fine = bool(a.isfinite().all() & b.isfinite().all())
-        law = regulated(a[moved][:, moved], b[moved], env.dt, q, weights.inputs, env.system.step) if fine else None
-        found.append(math.nan if law is None else law.settling(away, extents[moved], share))
-    seconds = env.dt * torch.tensor(found, dtype=torch.float64)
-    return float(seconds[0].fmin(seconds[1:].nanmedian()).nan_to_num(nan=0.0))
 
 
 def _narrow(task: Tracking) -> str:

@@ -9,9 +9,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from itertools import chain, combinations_with_replacement
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -28,10 +28,6 @@ DEGREE = 3
 """Degree of the polynomials through the rests."""
 DISCOUNT = 0.9995
 """Factor on the model where there is no law without: a state that no input moves and that stays, as cos^2 + sin^2."""
-FINE = 64
-"""Steps in which settling is told before they become twice as long: so they are some hundredths of the time so far."""
-BEYOND = 2.0
-"""How much longer settling is watched than a mode takes: several of one rate, as of tanks in a row, take longer."""
 AROUND = 0.3
 """Distance from a rest at which every second imagined episode begins [ranges of the states]."""
 
@@ -127,30 +123,13 @@ class Regulator:
         return x_e + AROUND * torch.tensor(self.task.signature.x_scale) * torch.randn(x_e.shape, generator=rng)
 
 
-@dataclass(frozen=True)
-class _Solved:
+class _Solved(NamedTuple):
     """A solution of the discrete Riccati equation."""
 
     gain: Tensor  # K, `(n_u, n_x)`
     cost: Tensor  # P, `(n_x, n_x)`
     slowest: float  # time constant of the slowest mode of the closed loop [periods]
     closed: Tensor  # a - b K of the closed loop x[k+1] = (a - b K) x[k], `(n_x, n_x)`
-
-    def settling(self, away: Tensor, extents: Tensor, share: float) -> float:
-        """Return when outputs stay within a share of their distance `away` `(n, n_x)` from a rest [periods].
-
-        Slow modes that outputs do not show, as a wall behind air whose temperature is held, do not count.
-        """
-        end, sizes, times, step, k = -math.log(share) * BEYOND * self.slowest, [], [], 1, 0
-        x, power = away, self.closed.mT
-        while k <= end:
-            for _ in range(FINE):
-                sizes.append((x / extents).abs().amax())
-                times.append(k := k + step)
-                x = x @ power
-            power, step = power @ power, 2 * step
-        outside = (torch.stack(sizes) > share * sizes[0]).nonzero()
-        return float(times[int(outside.amax())]) if len(outside) else 0.0
 
 
 def squares_of(task: Tracking, weights: Weights) -> Tensor:

@@ -191,7 +191,7 @@ class Judging(Callback):
         if place.number < 2:
             return
         self.wall, self.cpu = self.wall + time.perf_counter(), self.cpu + cpu_seconds()
-        costs = {"updates": place.cost.updates, "wall_seconds": round(self.wall, 1), "cpu_seconds": round(self.cpu, 1)}
+        costs = {"updates": place.updates, "wall_seconds": round(self.wall, 1), "cpu_seconds": round(self.cpu, 1)}
         seconds = self.parts.plant.dt * len(self.parts.replay.real)
         head = {"case": self.name, "plant": self.plant, "seed": self.seed, "plant_seconds": seconds}
         for scenario, metric, values in judge(CASES[self.name], self.plant, self.parts, self.seed):

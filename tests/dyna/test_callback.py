@@ -1,13 +1,13 @@
 import json
 
-from dynasindy.dyna.callback import Cost, Place
+from dynasindy.dyna.callback import Place
 from dynasindy.planning import Planned
 
 
 def test_a_place_that_is_restored_is_the_same_place_and_the_same_cost():
-    here = Place(9, Cost(3000, 20, 5))
+    here = Place(9, 3000, 20, 5)
     other = Place()
     other.load_state_dict(json.loads(json.dumps(here.state_dict())))
-    assert other == here and here.episodes == 7 and isinstance(other.cost, Cost)
-    other.cost.add(Planned(imagined=1, updates=2))
-    assert (other.cost.imagined, other.cost.updates) == (21, 7) and here.cost.updates == 5
+    assert other == here and here.episodes == 7
+    other.add(Planned(imagined=1, updates=2))
+    assert (other.imagined, other.updates) == (21, 7) and here.updates == 5

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.control import load
-from dynasindy.dyna.callback import Cost, Episode
+from dynasindy.dyna.callback import Episode, Place
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings, train
 from dynasindy.dyna.recorder import Evaluating, Recorder
@@ -134,7 +134,7 @@ def test_both_errors_of_the_model_stand_under_their_names(recorded, tmp_path):
     rollout = parts.env.rollout(4)
     figures = ((0.25, 0.75), (0.5 / parts.plant.task.unit, 1.0), (2.0, 3.0))
     error, one_step, tested = (ModelError(a, b, torch.zeros(4, 6)) for a, b in figures)
-    again.episode(Episode(2, rollout, error, one_step, False, Refit(None, 4.0, 5.0, True, tested)), Cost(7, 8, 9))
+    again.episode(Episode(2, rollout, error, one_step, False, Refit(None, 4.0, 5.0, True, tested)), Place(2, 7, 8, 9))
     (decided,), (logged,) = rows(tmp_path / "gate.csv"), rows(tmp_path / "progress.csv")
     assert [float(decided[key]) for key in ("reward_error", "state_error")] == [0.25, 0.75]
     assert [float(decided[key]) for key in ("judged_reward_error", "judged_state_error")] == [2.0, 3.0]
@@ -167,7 +167,7 @@ def test_the_first_and_the_last_episode_stand_beside_their_predictions(recorded,
     again.begin()
     rollout = parts.env.rollout(4)
     predicted = ModelError(0.0, 0.0, torch.arange(24.0).reshape(4, 6))
-    again.episode(Episode(number, rollout, predicted, predicted, True), Cost())
+    again.episode(Episode(number, rollout, predicted, predicted, True), Place())
     assert [file.stem for file in (tmp_path / "data").glob("*.csv")] == ([f"prediction_{name}_episode"] if name else [])
     for written in (tmp_path / "data").glob("*.csv"):
         told = rows(written)
@@ -224,7 +224,7 @@ def test_a_run_reports_its_episodes_with_return_and_model_error(recorded):
     with listening(heard.append):
         recorder.begin()
         recorder.progress(3)
-        recorder.episode(Episode(4, rollout, error, error, True), Cost(600))
+        recorder.episode(Episode(4, rollout, error, error, True), Place(2, 600))
     run = [event for event in heard if event.outer]
     assert [event.count() for event in run] == ["3 of 5 episodes", "4 of 5 episodes"]
     assert all(part in run[1].note for part in ("return -6.0", "error 0.0123", "steps 600"))

@@ -7,8 +7,9 @@ import pytest
 import torch
 from scipy.linalg import solve_discrete_are
 
+from dynasindy.control.period import _settles
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.plan_settings import SUBSTEPS, PlanSettings, choose_plan_settings, find_task_equilibria, settles
+from dynasindy.planning.plan_settings import SUBSTEPS, PlanSettings, choose_plan_settings, find_task_equilibria
 from dynasindy.systems import Signature, System, Tras, Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -108,7 +109,7 @@ def test_without_references_a_model_takes_the_steps_of_the_plant(settle):
 
 def settling(plant, v, share=0.05):
     task = Tracking(plant.signature, RandomStep((-0.5,), (0.5,)), ("x",), ("v",), TrackingReward((4.0,)))
-    return settles(ControlEnv(plant, task, 0.05, 1), torch.tensor([[0.0, v]] * 3), torch.zeros(3, 1), share)
+    return _settles(ControlEnv(plant, task, 0.05, 1), torch.tensor([[0.0, v]] * 3), torch.zeros(3, 1), share)
 
 
 class Room(System):
@@ -151,7 +152,7 @@ def test_a_difference_equation_settles_as_its_regulated_map_does(mapped):
     while left**periods > 0.01:
         periods += 1
     places = torch.zeros(3, 1), torch.zeros(3, 1)
-    assert settles(env, *places, 0.01) == pytest.approx(0.5 * periods)
+    assert _settles(env, *places, 0.01) == pytest.approx(0.5 * periods)
 
 
 class Weaker(System):
@@ -171,7 +172,7 @@ def test_the_rest_tells_how_long_outputs_take_to_settle_where_other_places_are_s
     p = float(solve_discrete_are([[1.0]], [[0.05]], [[100.0]], [[1.0]]).item())
     periods = math.ceil(math.log(0.01) / -math.log(1 + 0.05**2 * p))
     places = torch.tensor([[2.0]] * 3), torch.zeros(3, 1)
-    assert settles(ControlEnv(plant, task, 0.05, 1), *places, 0.01) == pytest.approx(0.05 * periods)
+    assert _settles(ControlEnv(plant, task, 0.05, 1), *places, 0.01) == pytest.approx(0.05 * periods)
 
 
 def test_settings_tell_their_numbers_and_what_a_policy_begins_as():
