@@ -21,7 +21,7 @@ from dynasindy.agents import TD3, Actor, DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
 from dynasindy.planning.imagined_replay import Planned, Planner
-from dynasindy.planning.imitation import Imitation, arrives, hold, imagined_rewards, improve, tolerates_delay
+from dynasindy.planning.imitation import Imitation, hold, imagined_rewards, improve
 from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choose_plan_settings, find_task_equilibria
 from dynasindy.planning.randomization import InputStrength
 from dynasindy.planning.rollout import Network, Rows, Window, backward, imagine
@@ -244,13 +244,9 @@ class GradientPlanning(Planner):
         rows.reach, rows.strength, rows.late = episodes[0].rows.reach, None, None
         if rests is not None and self.input_delay:  # three episodes in time and three that are late, in turn
             rows.late = self.input_delay * (torch.arange(len(rows.x)) // 3 % 2).unsqueeze(-1).float()
-        begun, held = Imitation(-math.inf), rests is not None and pace.warm_start
-        if rests is not None and held and rows.late is not None and not tolerates_delay(self.env, rests, rows):
-            rows.late = None  # a plant that runs away within a period or two is held by inputs in time alone
-        if rests is not None and held and (first or not arrives(self.network, self.env, rests, self.rng)):
-            begun = hold(self.network, self.env, rests, rows, self.test, self.rng)
-        elif held:
-            begun = Imitation(self.test())  # a policy that holds the plant is given up for a better one only
+        begun, held = Imitation(-math.inf), False
+        if rests is not None and pace.warm_start:
+            begun, held = hold(self.network, self.env, rests, rows, self.test, self.rng, keep=not first), True
         if begun.afar:
             updates, lr = pace.updates, pace.lr  # a way from afar is new, in a later phase too
         if begun.afar or was_afar:
@@ -273,7 +269,7 @@ class GradientPlanning(Planner):
                 break
             # The law of the model, where that is better than what the gradient has found and nobody rules it out.
             if not held and self.given.get("warm_start", True):
-                parts.append(hold(self.network, self.env, rests, rows, self.test, self.rng, search=False))
+                parts.append(hold(self.network, self.env, rests, rows, self.test, self.rng))
                 held, before = True, self.test()
             else:
                 before = parts[-1].score

@@ -73,7 +73,7 @@ def hold(
     rows: Rows,
     score: Callable[[Network], float],
     rng: torch.Generator,
-    search: bool = True,
+    keep: bool | None = None,
 ) -> Imitation:
     """Let a policy begin as the best of some laws, if that earns more than the policy as it is.
 
@@ -81,21 +81,27 @@ def hold(
         network: Policy, observations to inputs; trained in place.
         env: Imagined environment.
         rests: Equilibria of its model.
-        rows: Episodes by which policies are scored; their inputs are in time from now on if ways from afar are taken.
+        rows: Episodes by which policies are scored; their inputs are in time from now on if ways from afar are taken,
+            or if no regulator bears that they are late.
         score: What a policy earns in the model.
         rng: Source of starts, references and batches.
-        search: Whether ways from afar are searched for where no regulator brings every episode home.
+        keep: Whether a policy that holds the plant is left as it is. If omitted, delays are taken to be borne, and no
+            ways from afar are searched for where no regulator brings every episode home.
     """
     # Departure: the paper's policy begins with random weights; on a plant that runs away ours begins as a law of the
     # model.
+    laws, search = _regulators(env, rests), keep is not None
+    if search and rows.late is not None and not _bears_delay(laws, env, rows):
+        rows.late = None  # a plant that runs away within a period or two is held by inputs in time alone
+    if keep and arrives(network, env, rests, rng):
+        return Imitation(score(network))  # it is given up for a better one only
     best, before = score(network), copy.deepcopy(network.state_dict())
-    regulators = _regulators(env, rests)
-    earned: dict[float, Law] = {score(law): law for law in regulators}
+    earned: dict[float, Law] = {score(law): law for law in laws}
     afar, imagined, late = False, 0, rows.late
     if search and earned and not arrives(earned[max(earned)], env, rests, rng):
         paths, imagined = TrajectoryLibrary.of(env, rests, rng)
         rows.late = None  # a way is timed for inputs that act at once
-        if paths is not None and (scored := score(paths)) > max(map(score, regulators)):
+        if paths is not None and (scored := score(paths)) > max(map(score, laws)):
             afar, best, earned = True, score(network), {scored: paths}
         else:
             rows.late = late
@@ -115,21 +121,14 @@ def _regulators(env: ControlEnv, rests: Equilibria) -> list[Regulator]:
     return [law for law in found if law is not None]
 
 
-@torch.no_grad()
-def tolerates_delay(env: ControlEnv, rests: Equilibria, rows: Rows) -> bool:
-    """Return whether a regulator brings episodes home whose inputs are late, or none those whose inputs are in time.
+def _bears_delay(laws: list[Regulator], env: ControlEnv, rows: Rows) -> bool:
+    """Return whether a law brings episodes home whose inputs are late, or none those whose inputs are in time."""
 
-    Args:
-        env: Imagined environment.
-        rests: Equilibria of its model.
-        rows: Episodes, some of them with late inputs.
-    """
-    laws = _regulators(env, rests)
+    def _held(law: Regulator, rows: Rows) -> bool:
+        return bool(at_rest(env, law, law, rows, env.task.max_steps).all())
 
-    def _held(law: Regulator, late: Tensor | None) -> bool:
-        return bool(at_rest(env, law, law, replace(rows, late=late), env.task.max_steps).all())
-
-    return any(_held(law, rows.late) for law in laws) or not any(_held(law, None) for law in laws)
+    in_time = replace(rows, late=None)
+    return any(_held(law, rows) for law in laws) or not any(_held(law, in_time) for law in laws)
 
 
 def arrives(pilot: Network, env: ControlEnv, rests: Equilibria, rng: torch.Generator) -> bool:

@@ -7,7 +7,7 @@ from torch import nn
 
 from dynasindy.agents.networks import MLP
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.imitation import ROWS, _imitate, arrives, hold, tolerates_delay
+from dynasindy.planning.imitation import ROWS, _bears_delay, _imitate, _regulators, arrives, hold
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.planning.rollout import Rows
 
@@ -55,7 +55,7 @@ def test_a_policy_begins_as_the_law_only_if_that_earns_more(inverted):
         network = MLP(3, 1, (8,), squash=True)
         before = nn.utils.parameters_to_vector(network.parameters()).clone()
         rows = Rows.draw(env, 4, torch.Generator())
-        earned = hold(network, env, rests, rows, score(network), torch.Generator().manual_seed(0))
+        earned = hold(network, env, rests, rows, score(network), torch.Generator().manual_seed(0), keep=False)
         return earned.score, bool((nn.utils.parameters_to_vector(network.parameters()) == before).all())
 
     assert held(lambda network: lambda policy: 1.0 if policy is network else 0.0) == (1.0, True)  # no law is better
@@ -83,4 +83,4 @@ def test_inputs_a_period_late_hold_a_pole_only_where_it_falls_by_less_than_twice
         env = ControlEnv(env.system, env.task, dt, 8)
         rows = Rows.draw(env, 8, torch.Generator().manual_seed(0))
         rows.late = torch.ones(8, 1)
-        assert tolerates_delay(env, rests, rows) is borne
+        assert _bears_delay(_regulators(env, rests), env, rows) is borne
