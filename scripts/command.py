@@ -99,7 +99,7 @@ class Sweep(Callback):
             if gather(folder, results, level).empty:
                 print(f"No run in {folder} has finished, so there are no tables and figures.")
                 return
-            draw_ablation(results, level.error, share=level.share)
+            draw_ablation(results, level)
             say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
         except Exception as error:  # Hydra would make a warning of it, and the command would end with code 0
             if not isinstance(error, MENDABLE):

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from dynasindy.evaluation.ablation import SHARE, Level, read_ablation, worst_errors
+from dynasindy.evaluation.ablation import CURVES, SHARE, Level, read_ablation, worst_errors
 from dynasindy.evaluation.statistics import FEWEST, bootstrap_interval, interquartile_mean
 from dynasindy.safe_io import file_name
 from dynasindy.viz.controllers import controller_name, line_styles
@@ -60,42 +60,39 @@ def average_rewards(
     return figure
 
 
-def draw_ablation(
-    results: Path, level: float, formats: tuple[str, ...] = ("png",), share: float = Level.share
-) -> list[Path]:
+def draw_ablation(results: Path, level: Level) -> list[Path]:
     """Draw returns and errors for every plant and experiment in `ablation_curves.csv`.
 
     Where there are more settings than can be told apart, the figures have the numbers of rollouts, as the paper's.
 
     Args:
         results: Folder of the tables; the figures go there too.
-        level: The required level [rad].
-        formats: File formats, e.g. ("png", "svg").
-        share: The required level of plants whose outputs are not all in rad, as a share of the target range.
+        level: The required level.
 
     Returns:
         The files.
     """
-    rows = read_ablation(results / "ablation_curves.csv")
+    rows = read_ablation(results / CURVES)
     files = []
     for (system, experiment), group in rows.groupby(["system", "experiment"], sort=False):
         case = file_name(f"{system}_{experiment}", "plant and experiment")
         title = f"plant {system}, experiment {experiment}"
         lines = group.assign(setting=_without_common_words(group["setting"]))
         shares = SHARE in lines and bool(lines[SHARE].notna().all())
-        returns = _curves(lines, lines["evaluated_return"])
         errors = _curves(lines, 100 * lines[SHARE] if shares else worst_errors(lines))
-        judged = (100 * share, OF_RANGE) if shares else (level, "rad")
-        episodes = sorted(lines["episode"].unique())
         few = [name for name in errors if re.fullmatch(r"rollouts_\d+", name)] if len(errors) > MOST_NAMED else []
         chosen = {name: controller_name(name) for name in few or errors}
-        rewards = {words: returns[name] for name, words in chosen.items()}
-        worst = {words: errors[name] for name, words in chosen.items()}
+        returns, errors = (
+            {words: curves[name] for name, words in chosen.items()}
+            for curves in (_curves(lines, lines["evaluated_return"]), errors)
+        )
+        judged = (100 * level.share, OF_RANGE) if shares else (level.error, "rad")
+        episodes = sorted(lines["episode"].unique())
         figures = {
-            "average_rewards": average_rewards(rewards, episodes, f"Imagined rollouts: average rewards, {title}"),
-            "steady_state_error": _draw_errors(worst, episodes, *judged, f"Steady-state error, {title}"),
+            "average_rewards": average_rewards(returns, episodes, f"Imagined rollouts: average rewards, {title}"),
+            "steady_state_error": _draw_errors(errors, episodes, *judged, f"Steady-state error, {title}"),
         }
-        files += save_figures({f"{name}_{case}": figure for name, figure in figures.items()}, results, formats)
+        files += save_figures({f"{name}_{case}": figure for name, figure in figures.items()}, results)
     return files
 
 

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import jinja2
 import matplotlib
 import numpy as np
+import pandas as pd
 import torch
 from matplotlib.figure import Figure
 
@@ -35,9 +36,8 @@ from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.identification import BEYOND, prediction, training_data
 from dynasindy.viz.learning import average_rewards
 from dynasindy.viz.response import tracking
-from dynasindy.viz.run import Table as Columns
-from dynasindy.viz.run import gate, periods, read_table, stacked
-from dynasindy.viz.style import STYLE, Array
+from dynasindy.viz.run import gate, periods, read_table
+from dynasindy.viz.style import STYLE, Array, array
 
 WIDTH = 120
 SVG: dict[Any, Any] = {"svg.fonttype": "none", "path.simplify_threshold": 0.3}
@@ -51,9 +51,9 @@ NONE, SOME, MANY = SETTINGS.values()
 MODEL_FREE = ("rollouts_0_tuned", "sb3_sac", "sb3_sac_5", "sb3_td3", "sb3_td3_5")
 """Other settings of the ablation that have no model, which planning is compared with too."""
 ABLATION = "python scripts/ablation.py system={} experiment={}"
-STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
+STATES, INPUTS = list(SIGNATURE.state_names), list(SIGNATURE.input_names)
 AXES = {"alpha_a": "azimuth", "alpha_p": "pitch"}
-TRACKED, REFERENCES = tuple(AXES), tuple(f"reference_{name}" for name in AXES)
+TRACKED, REFERENCES = list(AXES), [f"reference_{name}" for name in AXES]
 
 EPISODES = 2500
 """Episodes after which the paper draws its controllers with a model."""
@@ -222,7 +222,7 @@ class Run:
     folder: Path
     settings: Mapping[str, Any]
 
-    def table(self, name: str) -> Columns:
+    def table(self, name: str) -> pd.DataFrame:
         """Read one of its CSV files."""
         return read_table(self.folder / name)
 
@@ -344,9 +344,9 @@ def _verdict(judged: Sequence[tuple[str, Judgement]]) -> Section:
 def _training(results: Results, plant: str, experiment: str) -> Made:
     run = results.run(plant, experiment)
     table = run.table("data/excitation.csv")
-    x, substeps = stacked(table, STATES), int(run.setting("env.substeps") or 1)
-    samples, step = len(x) * substeps, (table["time"][1] - table["time"][0]) / substeps
-    figure = training_data(table["time"], x, stacked(table, INPUTS), SIGNATURE, f"Training data of {plant}")
+    substeps = int(run.setting("env.substeps") or 1)
+    samples, step = len(table) * substeps, (table["time"][1] - table["time"][0]) / substeps
+    figure = training_data(table["time"], table[STATES], table[INPUTS], SIGNATURE, f"Training data of {plant}")
     caption = f"What the first model of `{plant}` was fitted to: {samples} samples, {step:.3g} s apart, and the inputs."
     yield Picture(f"training_data_{plant}", figure, caption, [run.source])
 
@@ -366,7 +366,8 @@ def _model_learning(results: Results, plant: str, experiment: str) -> Made:
     run = results.run(plant, experiment)
     table = run.table("gate.csv")
     opened = table["episode"][table["open"] == 1]
-    yield judge_learning(table["episode"], table["reward_error"], opened, float(run.setting("gate.open_below")))
+    below = float(run.setting("gate.open_below"))
+    yield judge_learning(array(table["episode"]), array(table["reward_error"]), array(opened), below)
     figure = gate(table, f"SINDy model learning progress: plant {plant}, experiment {experiment}")
     caption = f"Error of the model over the episodes on `{plant}`, `{experiment}`."
     yield Picture(f"model_learning_{plant}_{experiment}", figure, caption, [run.source])
@@ -376,7 +377,7 @@ def _states(results: Results, plant: str, experiment: str, episode: str) -> Made
     """Judge the open-loop prediction of the first or the last real episode, and draw it."""
     run = results.run(plant, experiment)
     table = run.table(f"data/prediction_{episode}_episode.csv")
-    real, model = stacked(table, STATES), stacked(table, [f"predicted_{name}" for name in STATES])
+    real, model = array(table[STATES]), array(table[[f"predicted_{name}" for name in STATES]])
     errors, when = _state_errors(real, model), "before" if episode == "first" else "after"
     title = f"Predicted and real states {when} learning: plant {plant}, experiment {experiment}"
     figure = prediction(table["time"], real, model, SIGNATURE, title)
@@ -389,7 +390,7 @@ def _states(results: Results, plant: str, experiment: str, episode: str) -> Made
     yield judge_model("all six states are predicted closely", errors)
     # The excitation applied to the final model, as the paper does.
     table = run.table("data/excitation.csv")
-    x, u = (torch.as_tensor(stacked(table, names)) for names in (STATES, INPUTS))
+    x, u = (torch.tensor(array(table[names])) for names in (STATES, INPUTS))
     dt = float(table["time"][1] - table["time"][0])
     data = Transitions(x[:-1], u[:-1], x[1:], dt, torch.zeros(len(x) - 1, dtype=torch.int64))
     predicted = open_loop(SindyModel.load(run.folder / "model.json"), data, int(run.setting("env.substeps") or 1))
@@ -466,24 +467,21 @@ def _wave(results: Results, plant: str, experiment: str, shape: str) -> Made:
     settings = ("rollouts_800", "rollouts_0")
     runs = {SETTINGS[name]: results.run(plant, experiment, name) for name in settings}
     tables, figure = _draw_tracking(runs, shape, f"{shape.capitalize()} wave: plant {plant}, experiment {experiment}")
-    output = stacked(tables[MANY], TRACKED)
-    yield from (judge_sine if shape == "sine" else judge_square)(
-        tables[MANY]["time"], stacked(tables[MANY], REFERENCES), output
-    )
+    flown = (array(tables[MANY][names]) for names in ("time", REFERENCES, TRACKED))
+    yield from (judge_sine if shape == "sine" else judge_square)(*flown)
     caption = f"The {shape} wave on `{plant}`, after {runs[MANY].setting('train.episodes')} episodes."
     yield Picture(f"{shape}_{plant}_{experiment}", figure, caption, [run.source for run in runs.values()])
 
 
-def _draw_tracking(runs: Mapping[str, Run], scenario: str, title: str) -> tuple[dict[str, Columns], Figure]:
+def _draw_tracking(runs: Mapping[str, Run], scenario: str, title: str) -> tuple[dict[str, pd.DataFrame], Figure]:
     """Return the trajectories that runs saved of a scenario, and their figure."""
-    file = "data/step_response.csv" if scenario == "step" else f"evaluation/{scenario}.csv"
+    step = scenario == "step"
+    file = "data/step_response.csv" if step else f"evaluation/{scenario}.csv"
     tables = {words: run.table(file) for words, run in runs.items()}
-    first, names = next(iter(tables.values())), tuple(AXES)
-    target, outputs = stacked(first, REFERENCES), {words: stacked(table, names) for words, table in tables.items()}
-    time, inputs = first["time"], None
-    if scenario == "step":
-        time, inputs = periods(first, INPUTS)[0], {words: periods(table, INPUTS)[1] for words, table in tables.items()}
-    return tables, tracking(time, target, outputs, inputs, title=title)
+    held = {words: periods(table, INPUTS) if step else table for words, table in tables.items()}
+    first, outputs = next(iter(tables)), {words: table[TRACKED] for words, table in tables.items()}
+    inputs = {words: table[INPUTS] for words, table in held.items()} if step else None
+    return tables, tracking(held[first]["time"], tables[first][REFERENCES], outputs, inputs, title=title)
 
 
 def _gradient_run(results: Results, plant: str, scenario: str) -> Made:

@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike
 
-from dynasindy.safe_io import read_cells, read_json, reading
+from dynasindy.evaluation.ablation import read_ablation
+from dynasindy.safe_io import read_json
 from dynasindy.systems import Signature
 from dynasindy.viz.identification import prediction, training_data
 from dynasindy.viz.response import tracking
@@ -31,7 +32,6 @@ from dynasindy.viz.style import (
     time_axis,
 )
 
-Table = dict[str, Array]
 TYPICAL = "typical ranges"
 """Unit of an error of all states together, each of which counts by its typical range, `Signature.x_scale`."""
 DOTS: Mapping[str, Any] = {"marker": "o", "markersize": 3, "clip_on": False}
@@ -39,8 +39,8 @@ WINDOW = 10
 """Episodes in the moving mean of a run's returns."""
 
 
-def read_table(path: Path) -> Table:
-    """Read a CSV file with a header into columns, named without their units; empty cells become NaN.
+def read_table(path: Path) -> pd.DataFrame:
+    """Read a CSV file of numbers with a header, whose columns are named without their units; empty cells become NaN.
 
     Raises:
         FileNotFoundError: The file does not exist.
@@ -48,10 +48,7 @@ def read_table(path: Path) -> Table:
     """
     if not path.exists():
         raise FileNotFoundError(f"{path} does not exist; give the folder of a finished run")
-    header, rows = read_cells(path)
-    with reading(path):
-        cells = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows]).reshape(-1, len(header))
-    return dict(zip((name.partition(" [")[0] for name in header), cells.T, strict=True))
+    return read_ablation(path, ()).rename(columns=lambda name: name.partition(" [")[0])
 
 
 def draw_run(
@@ -72,34 +69,30 @@ def draw_run(
 
 
 def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, Figure]:
-    names, figures = signature.state_names, {}
+    names, inputs, figures = list(signature.state_names), list(signature.input_names), {}
     found = read_json(folder / "metrics.json") if (folder / "metrics.json").is_file() else {}
     excited = read_table(folder / "data" / "excitation.csv")
-    time, u = excited["time"], stacked(excited, signature.input_names)
-    figures["excitation"] = training_data(time, None, u, signature, "Excitation")
+    figures["excitation"] = training_data(excited["time"], None, excited[inputs], signature, "Excitation")
     title = f"Training data of the first model\n{found.get('excitation', '')}".strip()
-    figures["training_data"] = training_data(time, stacked(excited, names), u, signature, title)
+    figures["training_data"] = training_data(excited["time"], excited[names], excited[inputs], signature, title)
     for when, data in (("first", "the excitation alone"), ("last", "the data before it")):
         path = folder / "data" / f"prediction_{when}_episode.csv"
         if path.is_file():
             table = read_table(path)
-            real, predicted = stacked(table, names), stacked(table, [f"predicted_{name}" for name in names])
+            real, predicted = array(table[names]), array(table[[f"predicted_{name}" for name in names]])
             title = f"Open-loop prediction of the {when} real episode, model of {data}"
             figures[path.stem] = prediction(table["time"], real, predicted, signature, title)
             if when == "first":
                 errors = (predicted - real) / np.array(signature.x_scale)
-                figures["model_error"] = _growing_error(table["time"], np.sqrt(np.square(errors).mean(-1)))
+                figures["model_error"] = _growing_error(array(table["time"]), np.sqrt(np.square(errors).mean(-1)))
     if (folder / "progress.csv").is_file():
         progress = read_table(folder / "progress.csv")
-        at = np.isfinite(progress["evaluated_return"])
-        episodes, returns = progress["episode"][at], progress["evaluated_return"][at]
-        if found:  # the untrained policy stands at episode 0
-            untrained = found["untrained"]["return"]
-            episodes, returns = np.append(0, episodes), np.append(np.nan if untrained is None else untrained, returns)
-        if len(progress["episode"]) > 1:  # the returns of a single one stand in the table, and make no curve
-            figures["learning_curve"] = _learning_curve(progress["episode"], progress["return"], episodes, returns)
-    decisions = read_table(folder / "gate.csv") if (folder / "gate.csv").is_file() else {}
-    if len(decisions.get("episode", ())) > 1:
+        if len(progress) > 1:  # the return of a single one stands in the table, and makes no curve
+            # The untrained policy stands at episode 0.
+            untrained = found.get("untrained", {"return": None})["return"]
+            figures["learning_curve"] = _learning_curve(progress, np.nan if untrained is None else untrained)
+    decisions = read_table(folder / "gate.csv") if (folder / "gate.csv").is_file() else ()
+    if len(decisions) > 1:
         # A reward that was learnt is judged in deviations of what was paid, see `Task.unit`.
         unit = "deviations of the reward" if found.get("reward") else "reward per period"
         figures["gate"] = gate(decisions, unit=unit)
@@ -108,45 +101,38 @@ def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, F
     return figures
 
 
-def _response(table: Table, signature: Signature, which: str, controller: str) -> Figure:
+def _response(table: pd.DataFrame, signature: Signature, which: str, controller: str) -> Figure:
     """Draw the episode that the run saved; its title says which of how many it is."""
     tracked = [name.removeprefix("reference_") for name in table if name.startswith("reference_")]
-    outputs = tracked or signature.state_names
-    time, inputs = periods(table, signature.input_names)
-    y, u = {controller: stacked(table, outputs)}, {controller: inputs}
-    reference = stacked(table, [f"reference_{name}" for name in outputs]) if tracked else None
-    step = reference is not None and bool((reference == reference[0]).all())
+    outputs = tracked or list(signature.state_names)
+    reference = table[[f"reference_{name}" for name in tracked]] if tracked else None
+    step = reference is not None and bool((reference == reference.iloc[0]).all(axis=None))
     title = f"{'Step response' if step else 'Response'}\n{which}".strip()
-    return tracking(time, reference, y, u, outputs, signature, title)
+    held = periods(table, signature.input_names)
+    y, u = {controller: table[outputs]}, {controller: held[list(signature.input_names)]}
+    return tracking(held["time"], reference, y, u, outputs, signature, title)
 
 
-def periods(table: Table, inputs: Sequence[str]) -> tuple[Array, Array]:
-    """Return when each control period of a flight begins, `(T,)` [s], and the inputs held during it, `(T, n_u)`.
+def periods(table: pd.DataFrame, inputs: Sequence[str]) -> pd.DataFrame:
+    """Return the rows of a flight at which control periods begin.
 
     A last row of the table without inputs is the state at the end, and no period; tables of earlier runs have none.
     """
-    time, u = table["time"], stacked(table, inputs)
-    ended = len(u) > 1 and bool(np.isnan(u[-1]).all())
-    return (time[:-1], u[:-1]) if ended else (time, u)
-
-
-def stacked(table: Table, columns: Sequence[str]) -> Array:
-    """Return columns of a table side by side, `(n_rows, n_columns)`."""
-    return np.stack([table[column] for column in columns], -1)
+    ended = len(table) > 1 and bool(table[list(inputs)].iloc[-1].isna().all())
+    return table[:-1] if ended else table
 
 
 @styled
-def _learning_curve(
-    episode: ArrayLike, train_return: ArrayLike, eval_episode: ArrayLike, eval_return: ArrayLike
-) -> Figure:
-    """Draw the return of the exploring policy of each real episode, `(n,)`, and that of evaluations, `(m,)`."""
-    x, y = array(episode), array(train_return)
+def _learning_curve(progress: pd.DataFrame, untrained: float) -> Figure:
+    """Draw the return of the exploring policy of each real episode, and that of evaluations, the first at episode 0."""
+    x, y = array(progress["episode"]), array(progress["return"])
+    evaluated = progress.dropna(subset="evaluated_return")
     figure, (axis,) = panels(1, 1, (7.0, 3.6), "Learning curve")
     axis.plot(x, y, color=BLUE, alpha=0.3, linewidth=0.9, marker=".", label="real episode, exploring")
     if len(y) > WINDOW:
-        mean = [y[max(0, k + 1 - WINDOW) : k + 1].mean() for k in range(len(y))]
-        axis.plot(x, mean, color=BLUE, label=f"mean of {WINDOW} episodes")
-    axis.plot(array(eval_episode), array(eval_return), color=RED, marker="o", markersize=3.5, label="evaluated policy")
+        axis.plot(x, progress["return"].rolling(WINDOW, 1).mean(), color=BLUE, label=f"mean of {WINDOW} episodes")
+    episodes, returns = np.append(0, evaluated["episode"]), np.append(untrained, evaluated["evaluated_return"])
+    axis.plot(episodes, returns, color=RED, marker="o", markersize=3.5, label="evaluated policy")
     axis.set_xlim(min(0.0, x.min(initial=0.0)) - 0.5, x.max(initial=1.0) + 0.5)
     axis.set_xlabel("real episode")
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
@@ -156,11 +142,7 @@ def _learning_curve(
 
 
 @styled
-def gate(
-    decisions: Mapping[str, ArrayLike],
-    title: str = "Trust in the model",
-    unit: str = "reward per period",
-) -> Figure:
+def gate(decisions: pd.DataFrame, title: str = "Trust in the model", unit: str = "reward per period") -> Figure:
     """Draw the reward error with its thresholds, shaded while the gate is closed, and the test of each refit.
 
     A replay that ran away is marked at the upper edge.

@@ -1,6 +1,7 @@
 """The error of the model over episodes, and what the gate decides by it."""
 
 import numpy as np
+import pandas as pd
 
 from dynasindy.viz.run import _growing_error, gate
 
@@ -18,7 +19,7 @@ DECISIONS = {
 
 
 def test_closed_episodes_are_shaded_and_rolled_back_refits_are_marked():
-    upper, lower = gate(DECISIONS).axes
+    upper, lower = gate(pd.DataFrame(DECISIONS)).axes
     (shade,) = upper.patches
     assert shade.get_x() == 1.5 and shade.get_width() == 1.0
     rings = next(line for line in lower.lines if line.get_label() == "rolled back")
@@ -29,7 +30,7 @@ def test_closed_episodes_are_shaded_and_rolled_back_refits_are_marked():
 
 def test_where_the_model_ran_away_there_is_a_mark_at_the_upper_edge():
     errors = {"reward_error": [np.inf, np.nan, 0.4], "judged_reward_error": [np.nan, 0.1, np.inf]}
-    upper, lower = gate(DECISIONS | errors).axes
+    upper, lower = gate(pd.DataFrame(DECISIONS | errors)).axes
     marks = [line for line in upper.lines if line.get_marker() == "^"]
     # Where no planning was due nothing was judged: that is no flight.
     assert [line.get_xdata().tolist() for line in marks] == [[1.0, 2.0], [3.0]]

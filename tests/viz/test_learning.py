@@ -4,18 +4,21 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dynasindy.evaluation.ablation import write_ablation
+from dynasindy.evaluation.ablation import Level, write_ablation
 from dynasindy.viz.learning import average_rewards, draw_ablation
 from dynasindy.viz.run import _learning_curve
 
 
 def test_learning_curve_draws_episodes_their_moving_mean_and_evaluations() -> None:
     returns = np.arange(30.0)
-    figure = _learning_curve(np.arange(1, 31), returns, [10, 20], [12.0, 22.0])
+    evaluations = {10: 12.0, 20: 22.0}
+    rows = {"episode": np.arange(1, 31), "return": returns}
+    rows["evaluated_return"] = [evaluations.get(episode, np.nan) for episode in rows["episode"]]
+    figure = _learning_curve(pd.DataFrame(rows), 5.0)
     raw, mean, evaluated = figure.axes[0].lines
     np.testing.assert_array_equal(raw.get_ydata(), returns)
     assert [mean.get_ydata()[k] for k in (0, 2, 29)] == [0.0, 1.0, 24.5]
-    np.testing.assert_array_equal(evaluated.get_xydata(), [[10, 12.0], [20, 22.0]])
+    np.testing.assert_array_equal(evaluated.get_xydata(), [[0, 5.0], [10, 12.0], [20, 22.0]])
 
 
 def test_average_rewards_draw_the_interquartile_mean_within_its_band() -> None:
@@ -49,11 +52,11 @@ def rows(settings, episodes=(1, 2), seeds=(0, 1), **changed):
 def drawn(tmp_path, monkeypatch):
     """Draw an ablation of rows and return its figures by file."""
 
-    def _draw(table, level=0.05, **more):
+    def _draw(table, **level):
         found = {}
         monkeypatch.setattr("dynasindy.viz.learning.save_figures", lambda figures, *_: found.update(figures) or [])
         write_ablation(tmp_path / "ablation_curves.csv", pd.DataFrame(table))
-        draw_ablation(tmp_path, level, **more)
+        draw_ablation(tmp_path, Level(**level))
         return found
 
     return _draw
@@ -67,7 +70,7 @@ def lines(axis):
 def test_a_pair_of_figures_for_every_plant_and_experiment(tmp_path, common):
     both = [rows({f"a{common}": 0.1, f"b{common}": 0.2}, system=system) for system in ("tras", "xi")]
     write_ablation(tmp_path / "ablation_curves.csv", pd.DataFrame(both[0] + both[1]))
-    names = {file.name for file in draw_ablation(tmp_path, 0.05)}
+    names = {file.name for file in draw_ablation(tmp_path, Level())}
     kinds = ("average_rewards", "steady_state_error")
     assert names == {f"{kind}_{system}_dyna.png" for kind in kinds for system in ("tras", "xi")}
     assert all((tmp_path / name).stat().st_size > 1000 for name in names)
