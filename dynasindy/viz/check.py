@@ -134,7 +134,6 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
         input_axis(axis, signature, i)
     legend(axes[0], "above")
     time_axis(axes[-1], seconds)
-    axes[-1].set_xlim(0, float(seconds[-1]))
     return figure
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -91,15 +92,17 @@ def training_data(
     names = (*(signature.state_names[i] for i in seen), *inputs)
     units = (*(signature.state_units[i] for i in seen), *("-",) * len(inputs))
     figure, axes, columns = _panels(names, units, title)
-    for axis, i in zip(axes, seen, strict=False):
-        axis.plot(_broken(seconds, segment), _broken(values[:, i], segment), color=BLUE)
     moving = np.zeros((len(seconds), 0)) if u is None else array(u)
-    for i in range(len(inputs)):
-        _input(axes[len(seen) + i], seconds, moving, signature, i, segment)
-    shown = axes[: len(names)]
-    _mark_restarts(shown, seconds, moving)
-    _mark_gaps(shown, seconds, segment)
-    legend(axes[0], "below")
+    own = moving if u is None else signature.in_own_units(moving)
+    x, shown, held = (_broken(rows, segment) for rows in (seconds, values, own))
+    for axis, i in zip(axes, seen, strict=False):
+        axis.plot(x, shown[:, i], color=BLUE)
+    for i, axis in enumerate(axes[len(seen) : len(names)]):
+        # An input is held up to the end of its last period.
+        axis.step(np.append(x, time_span(seconds)[1]), np.append(held[:, i], held[-1:, i]), where="post", color=BLUE)
+        input_axis(axis, signature, i)
+    restarts = seconds[np.isnan(moving).any(-1)]  # not all, which is true of a row without inputs
+    _mark(axes, restarts, color=RED, linestyle="--", linewidth=1.0, label="ended early, began anew")
     _finish(axes, columns, seconds, segment)
     return figure
 
@@ -129,6 +132,7 @@ def prediction(
         truth: What the model is compared with: "real" states, the "plant", or a "log".
     """
     seconds, truths, model = array(time), array(real), array(predicted)
+    x = _broken(seconds, segment)
     names, whose = signature.state_names, "the real range" if truth == "real" else f"the {truth}'s range"
     figure, axes, columns = _panels(names, signature.state_units, title)
     for i in range(len(names)):
@@ -138,16 +142,13 @@ def prediction(
             known = np.array([-scale, scale])
         wide = float(np.ptp(known))
         ended = _until_lost(model[:, i], truths[:, i], wide)
-        x, seen, free = (_broken(v, segment) for v in (seconds, truths[:, i], ended))
-        axes[i].plot(x, seen, color=BLACK, linewidth=1.2, label=truth)
-        axes[i].plot(x, free, color=RED, linestyle=":", linewidth=1.8, label="predicted")
+        axes[i].plot(x, _broken(truths[:, i], segment), color=BLACK, linewidth=1.2, label=truth)
+        axes[i].plot(x, _broken(ended, segment), color=RED, linestyle=":", linewidth=1.8, label="predicted")
         whole = f"{f'{wide:.0f}' if wide >= 100 else f'{wide:.3g}'} {signature.state_units[i]}, {whose}"
         axes[i].set_title(_fit(truths[:, i], model[:, i], whole), fontsize=8.5, loc="right")
         measured = not np.isnan(truths[:, i]).all()
         if wide > 0 and (measured or bool((np.abs(np.nan_to_num(ended)) > scale).any())):
             axes[i].set_ylim(*_limits(known, ended, wide))
-    _mark_gaps(axes[: len(names)], seconds, segment)
-    legend(axes[0], "below")
     _finish(axes, columns, seconds, segment)
     return figure
 
@@ -159,32 +160,14 @@ def _panels(names: Sequence[str], units: Sequence[str], title: str) -> tuple[Fig
     for axis, name, unit in zip(axes, names, units, strict=False):
         axis.set_ylabel(label(name, unit))
     for axis in axes[len(names) :]:
-        axis.set_visible(False)
-    return figure, axes, columns
+        axis.remove()
+    return figure, axes[: len(names)], columns
 
 
-def _input(
-    axis: Axes, seconds: Array, values: Array, signature: Signature, place: int, segment: ArrayLike | None = None
-) -> None:
-    """Draw an input of `(T, n_u)` as it is held, up to the end of its last period, in its own unit."""
-    x, u = _broken(seconds, segment), _broken(signature.in_own_units(values)[:, place], segment)
-    axis.step(np.append(x, time_span(seconds)[1]), np.append(u, u[-1:]), where="post", color=BLUE)
-    input_axis(axis, signature, place)
-
-
-def _mark_restarts(axes: Sequence[Axes], seconds: Array, inputs: Array) -> None:
-    """Mark the rows without an input, at which an excitation ended early and began anew."""
-    for at in seconds[np.isnan(inputs).any(-1)]:  # not all, which is true of a row without inputs
+def _mark(axes: Sequence[Axes], places: Array, **look: Any) -> None:
+    for place in places:
         for axis in axes:
-            axis.axvline(at, color=RED, linestyle="--", linewidth=1.0, label="ended early, began anew")
-
-
-def _mark_gaps(axes: Sequence[Axes], seconds: Array, segment: ArrayLike | None) -> None:
-    """Mark where samples are missing or left out, unless that is everywhere."""
-    places = _breaks(segment)
-    for place in places if len(places) <= MOST else []:
-        for axis in axes:
-            axis.axvline(seconds[place], color=GREY, linestyle=":", linewidth=0.9, label=GAP)
+            axis.axvline(place, **look)
 
 
 def _until_lost(predicted: Array, real: Array, wide: float) -> Array:
@@ -208,17 +191,19 @@ def _breaks(segment: ArrayLike | None) -> list[int]:
 
 
 def _broken(values: Array, segment: ArrayLike | None) -> Array:
-    """Put a NaN between segments, at which a line breaks."""
-    return np.insert(values, _breaks(segment), np.nan)
+    """Put a row of NaN between segments, at which a line breaks."""
+    return np.insert(values, _breaks(segment), np.nan, axis=0)
 
 
 def _finish(axes: Sequence[Axes], columns: int, seconds: Array, segment: ArrayLike | None) -> None:
-    words = "time without the gaps" if _breaks(segment) else "time"
-    shown = [axis for axis in axes if axis.get_visible()]
-    for axis in shown[-columns:]:  # the last one of each column, above an empty place, too
-        time_axis(axis, time_span(seconds), words)
+    """Mark where samples are missing or left out, unless that is everywhere, and name what the axes show."""
+    breaks = _breaks(segment)
+    if len(breaks) <= MOST:
+        _mark(axes, seconds[breaks], color=GREY, linestyle=":", linewidth=0.9, label=GAP)
+    legend(axes[0], "below")
+    for axis in axes[-columns:]:  # the last one of each column, above an empty place, too
+        time_axis(axis, time_span(seconds), "time without the gaps" if breaks else "time")
         axis.tick_params(labelbottom=True)
-    axes[0].set_xlim(*time_span(seconds))
 
 
 def _fit(real: Array, predicted: Array, whole: str) -> str:

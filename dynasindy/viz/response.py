@@ -48,6 +48,8 @@ if TYPE_CHECKING:  # figures know a flight by its attributes alone
 AXES = SIGNATURE.state_names[:2]
 LATE = 0.02
 """Share of the planned time that is left free beside what was flown, for the line at which a flight ended."""
+PAID = 0.01
+"""Half width of the band that is paid for [target ranges]."""
 LEAST = 1e-5
 """Errors below this part of the band that is paid for are not drawn: ten millionths of a radian for the twin rotor."""
 
@@ -96,52 +98,30 @@ def tracking(
         input_axis(axis, signature, i)
     legend(axes[0], "above")
     time_axis(axes[-1], time_span(seconds))
-    axes[-1].set_xlim(*time_span(seconds))
     return figure
 
 
 @styled
-def error_fan(
-    time: ArrayLike,
-    outputs: ArrayLike,
-    references: ArrayLike,
-    names: Sequence[str] = AXES,
-    signature: Signature = SIGNATURE,
-    title: str = "Tracking error over all references",
-    band: Sequence[float] = (0.01,),
-) -> Figure:
-    """Draw the absolute error over a batch of references: median, middle half and 5 to 95 %.
-
-    Args:
-        time: `(T,)` [s].
-        outputs: `(N, T, n_r)`.
-        references: `(N, T, n_r)`.
-        names: tracked states.
-        signature: tells their units.
-        title: of the figure.
-        band: half width of the band that is paid for, of each output or of all.
-    """
-    seconds = array(time)
-    error = np.abs(array(outputs) - array(references))
-    bands = np.broadcast_to(np.asarray(band, dtype=np.float64), len(names))
+def _error_fan(evaluation: Evaluation, title: str) -> Figure:
+    """Draw the absolute error over all references: median, middle half, 5 to 95 %, and the band that is paid for."""
+    seconds, names, units = array(evaluation.time), evaluation.output_names, [*evaluation.units.values()]
+    error = np.abs(array(evaluation.outputs) - array(evaluation.references))
     p05, p25, p50, p75, p95 = np.quantile(error, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0)
     figure, axes = panels(len(names), 1, (7.0, 2.2 * len(names) + 0.5), f"{title} ({len(error)})")
-    for i, (axis, name) in enumerate(zip(axes, names, strict=True)):
+    for i, (axis, name, unit, box) in enumerate(zip(axes, names, units, evaluation.boxes, strict=True)):
         axis.fill_between(seconds, p05[:, i], p95[:, i], color=BLUE, alpha=0.15, lw=0, label="5 to 95 %")
         axis.fill_between(seconds, p25[:, i], p75[:, i], color=BLUE, alpha=0.3, lw=0, label="middle half")
         axis.plot(seconds, p50[:, i], color=BLUE, label="median")
-        unit = signature.state_units[signature.state_index(name)]
-        least_paid = " ".join([f"{bands[i]:.3g}", *([unit] if unit != "-" else [])])
-        text = f"the reward pays a bonus below {least_paid}"
-        axis.axhline(bands[i], color=BLACK, linestyle=":", linewidth=1.0, label=text)
+        band = PAID * box
+        text = f"the reward pays a bonus below {band:.3g}{f' {unit}' * (unit != '-')}"
+        axis.axhline(band, color=BLACK, linestyle=":", linewidth=1.0, label=text)
         axis.set_yscale("log")
         # The wide band stays inside nearly all the time; what is less, or zero, leaves the axis.
-        least = float(np.quantile(np.append(p05[p05[:, i] > 0, i], bands[i]), 0.1))
-        axis.set_ylim(bottom=0.5 * max(least, LEAST * float(bands[i])))
+        least = float(np.quantile(np.append(p05[p05[:, i] > 0, i], band), 0.1))
+        axis.set_ylim(bottom=0.5 * max(least, LEAST * band))
         axis.set_ylabel(f"|error| of {label(name, unit)}")
     legend(axes[0], "above")
     time_axis(axes[-1], time_span(seconds))
-    axes[-1].set_xlim(*time_span(seconds))
     return figure
 
 
@@ -181,15 +161,7 @@ def draw_evaluation(
     inputs = {label: evaluation.inputs[row]}
     figures = {name: tracking(evaluation.time, target, {label: x[:, columns]}, inputs, names, signature, title)}
     if evaluation.columns and len(evaluation.outputs) > 1:
-        figures[f"{name}_errors"] = error_fan(
-            evaluation.time,
-            evaluation.outputs,
-            evaluation.references,
-            names,
-            signature,
-            f"{scenario}: error over all references",
-            [0.01 * box for box in evaluation.boxes] or [0.01],
-        )
+        figures[f"{name}_errors"] = _error_fan(evaluation, f"{scenario}: error over all references")
     for figure in figures.values():
         _shade_disturbances(figure, evaluation.windows)
     return save_figures(figures, folder, formats)
@@ -242,7 +214,7 @@ def _draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -
         if shown.fault:
             axis.axvline(ended, color=RED, linewidth=1.0, label="ended, safe input")
     time_axis(figure.axes[-1], (0.0, planned))
-    figure.axes[-1].set_xlim(0.0, planned * (1 + LATE * bool(shown.fault)))
+    figure.axes[-1].set_xlim(right=planned * (1 + LATE * bool(shown.fault)))
     legend(figure.axes[0], "above")
     return figure
 

@@ -201,8 +201,7 @@ def _growing_error(time: Array, error: Array) -> Figure:
         axis.plot(time[zero], below, label="exactly 0, below the axis", **look)
     axis.set_yscale("log")
     legend(axis)
-    axis.set_xlim(0.0, time.max(initial=0.0) or 1.0)
-    time_axis(axis, time)
+    time_axis(axis, (0.0, time.max(initial=0.0) or 1.0))
     axis.set_ylabel(f"RMS error of the states\n[{TYPICAL}]")
     return figure
 

@@ -171,18 +171,21 @@ def time_span(seconds: Array) -> tuple[float, float]:
 
 
 def time_axis(axis: Axes, seconds: ArrayLike, words: str = "time") -> None:
-    """Label an axis whose data are in seconds, with ticks in the unit in which its length is given: s, min or h.
+    """Let an axis end where its data in seconds do, with ticks in the unit in which its length is given: s, min or h.
 
     Args:
         axis: Where; figures that share it follow.
         seconds: The times that it shows, or its two ends [s]; `time_span` gives those of a run.
         words: What it shows.
     """
-    unit = duration_unit(float(np.ptp(array(seconds))) if np.size(seconds) else 0.0)
+    low, high = float(np.min(seconds, initial=np.inf)), float(np.max(seconds, initial=-np.inf))
+    unit = duration_unit(max(0.0, high - low))
     axis.set_xlabel(f"{words} [{unit.name}]")
     axis.xaxis.set_major_locator(_Scaled(unit.seconds))
     scaled = FuncFormatter(lambda value, _: f"{value / unit.seconds:g}")
     axis.xaxis.set_major_formatter(ScalarFormatter() if unit.seconds == 1 else scaled)
+    if low < high:
+        axis.set_xlim(low, high)
 
 
 class _Scaled(MaxNLocator):

@@ -22,7 +22,6 @@ from dynasindy.viz.response import (
     _draw_excitation,
     _draw_flight,
     draw_evaluation,
-    error_fan,
     tracking,
 )
 from dynasindy.viz.style import ORANGE
@@ -65,13 +64,6 @@ def test_step_response_shows_the_five_percent_band_and_the_last_five_seconds() -
     assert (steady.get_x(), steady.get_width()) == pytest.approx((15.0, 5.0))
 
 
-def test_error_fan_draws_the_median_of_the_absolute_error() -> None:
-    outputs = REFERENCE + torch.tensor([-0.3, 0.1, 0.2]).reshape(3, 1, 1)
-    figure = error_fan(TIME, outputs, REFERENCE.expand(3, 400, 2))
-    np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), 0.2, rtol=1e-5)
-    assert figure.axes[0].get_yscale() == "log"
-
-
 def test_inputs_are_drawn_in_the_units_of_their_actuators() -> None:
     """A motor of 0 to 12 V at the quarter of its power has 3 V."""
     volts = replace(SIGNATURE, input_ends=((-12, 12), (-1, 1)), input_limits=((0, 1), (-1, 1)), input_units=("V", "-"))
@@ -109,6 +101,14 @@ def test_many_references_add_the_spread_of_the_error(episodes: int, tmp_path: Pa
     names = {file.name for file in files}
     assert names == {"short.png", "short.svg"} | ({"short_errors.png", "short_errors.svg"} if episodes > 1 else set())
     assert all(file.stat().st_size > 1000 for file in files)
+
+
+def test_the_spread_of_the_error_has_its_median(figures) -> None:
+    evaluation = run(Step([[0.1, 0.1], [0.3, 0.2], [0.2, 0.4]]), 3)
+    (axis, _) = figures(evaluation)["short_errors"].axes
+    error = (evaluation.outputs - evaluation.references).abs()[..., 0]
+    np.testing.assert_allclose(axis.lines[0].get_ydata(), error.median(0).values, rtol=1e-5)
+    assert axis.get_yscale() == "log"
 
 
 def test_steps_show_their_settling_band_and_waves_do_not(figures) -> None:
