@@ -24,7 +24,6 @@ from torch import Tensor
 
 from dynasindy.control import Controller
 from dynasindy.dyna.simulated import Simulated
-from dynasindy.envs import DelayedEnv
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.excitation import Excitation, Multisine
 from dynasindy.identification.source import Source
@@ -155,9 +154,7 @@ def simulate(
     if start is not None:
         task = task.with_starts(start_ranges(mine, dict(start), "start")[:1].double())
     env, policy, sensing = closed_loop(controller, plant, task, seed)
-    delay = float(getattr(plant, "delay", 0.0))
-    if delay:
-        env = DelayedEnv.around(env, delay)
+    env.delay = float(getattr(plant, "delay", 0.0))
     scenario = Scenario("simulation", Step(rows), len(rows), seconds, seed=seed)
     return Simulation(evaluate(env, policy, scenario, None if sensing is None else sensing.on(env, sensing.rng)))
 

@@ -181,7 +181,7 @@ def _left_out(rows: TensorDict) -> Finding | None:
 def _coarse(parts: PlantComponents, rows: TensorDict) -> Finding | None:
     """Return that the Runge-Kutta steps of a simulated plant, whose states are seen, are too long for it."""
     plant = parts.plant
-    if type(plant) is not ControlEnv or parts.sensing is not None:
+    if type(plant) is not ControlEnv or plant.delay or parts.sensing is not None:
         return None  # another simulator, or a rig, moves it, or nobody knows where it was
     report_progress("excitation", note="are the steps of the simulation short enough?")
     rows = rows[:: max(1, len(rows) // LOOKED_AT)]

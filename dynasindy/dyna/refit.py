@@ -154,7 +154,7 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
 def _acting(rollout: TensorDictBase, later: float) -> TensorDictBase:
     """Return a real episode with the inputs that acted, by a model in which they are so many periods later.
 
-    Where an input changes within a control period, its mean acts, as in `DelayedEnv`.
+    Where an input changes within a control period, its mean acts, as in `ControlEnv`.
     """
     if not later:
         return rollout

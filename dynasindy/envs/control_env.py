@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
@@ -47,10 +48,12 @@ class ControlEnv(EnvBase):
         dtype: Floating type of states, samples and references, or its name; observation, action and reward are
             float32, the type of policies, so that a plant may move in float64 while agents stay fast.
         seed: Seed of the environment's own generator.
+        delay: Time between a command and its effect [s], of which nobody is told; until the first one arrives inputs
+            are zero. In a sample within which the input changes, its mean acts, as a model with a delay is fitted.
 
     Raises:
-        ValueError: dt or substeps is not positive, an episode does not fit into memory, or the system does not give one
-            rate of change per state.
+        ValueError: dt or substeps is not positive, the delay is negative, an episode does not fit into memory, or the
+            system does not give one rate of change per state.
     """
 
     batch_locked = False
@@ -67,12 +70,15 @@ class ControlEnv(EnvBase):
         batch_size: tuple[int, ...] = (),
         dtype: torch.dtype | Literal["float32", "float64"] = torch.float32,
         seed: int = 0,
+        delay: float = 0.0,
     ) -> None:
         dtype = getattr(torch, dtype) if isinstance(dtype, str) else dtype
         if not dt > 0 or substeps < 1:
             raise ValueError(
                 f"need dt > 0 s and substeps >= 1, got dt={dt}, substeps={substeps}; mend env, the paper has 0.05 s"
             )
+        if not delay >= 0:
+            raise ValueError(f"env.delay is {delay} s; allowed is 0 or more")
         check_memory(
             task.max_steps * substeps * system.signature.n_x * 2.0 * dtype.itemsize,
             f"an episode of {task.max_steps:.4g} periods (task.max_steps) with {substeps} samples each (env.substeps)",
@@ -80,7 +86,7 @@ class ControlEnv(EnvBase):
         super().__init__(batch_size=torch.Size(batch_size))
         self.system, self.task = system, task
         self._compiled_task: tuple[Task, torch.dtype, TrackingMachine | None] | None = None
-        self.stops = system.stops
+        self.stops, self.delay, self.past = system.stops, delay, deque[Tensor]()
         self.dt, self.substeps, self.float_type = dt, substeps, dtype
         self._make_specs()
         self._set_seed(seed)
@@ -116,18 +122,22 @@ class ControlEnv(EnvBase):
             batch_size=tuple(self.batch_size),
             dtype=dtype or self.float_type,
             seed=seed,
+            delay=self.delay,
         )
         env.stops = self.stops  # the beam's, not the model's: a model knows nothing of them
-        env.left_beyond = self.left_beyond
+        env.left_beyond, env.past = self.left_beyond, self.past  # the same flight goes on
         return env
 
     def with_model(self, model: System, dtype: torch.dtype | None = None, seed: int = 0) -> ControlEnv:
-        """Return an environment around a model of its plant, in which episodes are imagined; see `with_system`."""
-        return self.with_system(model, dtype, seed)
+        """Return an environment around a model of its plant, in which episodes are imagined and inputs act at once."""
+        env = self.with_system(model, dtype, seed)
+        env.delay = 0.0
+        return env
 
     def with_task(self, task: Task, seed: int = 0) -> ControlEnv:
         """Return this environment with another task for the same system."""
-        env = ControlEnv(self.system, task, self.dt, self.substeps, dtype=self.float_type, seed=seed)
+        substeps, delay = self.substeps, self.delay
+        env = ControlEnv(self.system, task, self.dt, substeps, dtype=self.float_type, seed=seed, delay=delay)
         env.stops = self.stops
         return env
 
@@ -139,9 +149,35 @@ class ControlEnv(EnvBase):
             u: Inputs, `(*batch, n_u)`, in [-1, 1].
 
         Returns:
-            Samples after each sub-step, `(*batch, substeps, n_x)`, and whether a stop was touched, `(*batch,)`.
+            Samples after each sub-step, `(*batch, substeps, n_x)`, and whether a stop was touched, `(*batch,)`. Where
+            inputs are late, the commands that arrive in the period act in place of `u`.
         """
+        if self.delay:
+            return self._advance_late(x)
         return integrate(self.system, x, u, self.dt, self.substeps, self.stops)
+
+    def _advance_late(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Advance states under the commands that arrive; the input changes within a sample, or between two steps."""
+        before, now = (self.past[k].to(x.dtype) for k in (0, 1))
+        part = self._lateness()[1]
+        if self.system.step is None:
+            old = [min(1.0, max(0.0, part * self.substeps - k)) for k in range(self.substeps)]
+            pieces = [(self.log_dt, 1, (1 - share) * now + share * before) for share in old]
+        else:
+            first = part * self.dt if part > 1e-6 else 0.0
+            pieces = [(first, 1, before)] * bool(first) + [(self.dt - first, self.substeps, now)]
+        samples, touched = [], []
+        for seconds, count, u in pieces:
+            moved, hit = integrate(self.system, x, u, seconds, count, self.stops)
+            x = moved[..., -1, :]
+            samples.append(moved)
+            touched.append(hit)
+        return torch.cat(samples, -2)[..., -self.substeps :, :], torch.stack(touched).any(0)
+
+    def _lateness(self) -> tuple[int, float]:
+        """Return by how many whole control periods inputs are late, and by which part of one."""
+        whole = int(self.delay / self.dt + 1e-6)
+        return whole, max(0.0, self.delay / self.dt - whole)
 
     def follow(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """Advance states by control periods that follow each other, as the steps of an episode do.
@@ -153,7 +189,7 @@ class ControlEnv(EnvBase):
         Returns:
             Samples after each sub-step, `(T, *batch, substeps, n_x)`, and whether a stop was touched, `(T, *batch)`.
         """
-        if type(self).advance is not ControlEnv.advance or math.isfinite(self.left_beyond):
+        if self.delay or math.isfinite(self.left_beyond):
             return repeat_steps(self._within, x, u)
         return simulate(self.system, x, u, self.dt, self.substeps, self.stops)
 
@@ -309,8 +345,19 @@ class ControlEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         x = tensordict["state"]
+        if self.delay:
+            self._command(tensordict["action"], bool((tensordict["step_count"] == 0).all()))
         samples, touched = self._within(x, tensordict["action"].to(x.dtype))
         return self._moved(tensordict, samples, touched)
+
+    def _command(self, u: Tensor, begins: bool) -> None:
+        """Send inputs `(*batch, n_u)` on their way, before which zeros are where episodes begin."""
+        count = self._lateness()[0] + 2
+        if begins or len(self.past) != count:
+            self.past.clear()
+            self.past.extend([torch.zeros_like(u)] * count)
+        self.past.append(u)
+        self.past.popleft()
 
     def _within(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """Advance states as `advance` does; those that leave their ranges stay where they leave them."""

@@ -122,7 +122,8 @@ def _compiled_step(
     x, params, steps = begun["state"], begun["task_params"].contiguous(), begun["step_count"]
     u = x.new_zeros(1, env.system.signature.n_u)
     judge, code = tracking_machine(env.task, env.dt, x.dtype), env.system.compiled(x, u[0])
-    if type(env) is not ControlEnv or math.isfinite(env.left_beyond) or judge is None or code is None:
+    beaten = env.delay or math.isfinite(env.left_beyond)
+    if type(env) is not ControlEnv or beaten or judge is None or code is None:
         return None
     count = steps_of(code.step, env.dt, env.substeps).number
     samples, touched = x.new_empty(1, count, len(x)), torch.zeros(1, dtype=torch.bool)

@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from dynasindy.envs import ControlEnv, DelayedEnv
+from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
 from dynasindy.evaluation.tracking_criteria import LOST, WITHIN, TrackingCriteria, judge_tracking
 from dynasindy.findings import Finding, note, records, weak, wrong
@@ -171,7 +171,8 @@ def predict(
     errors: list[float] = []
     shown: Evaluation | None = None
     for k, model in enumerate(models):
-        env = DelayedEnv.around(plan.with_system(model, torch.float64), float(getattr(model, "delay", 0.0)))
+        env = plan.with_system(model, torch.float64)
+        env.delay = float(getattr(model, "delay", 0.0))
         result: Evaluation | None = None
         with suppress(Diverged):
             seen = None if sensing is None else sensing.on(env, sensing.rng)

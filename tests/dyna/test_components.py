@@ -13,7 +13,7 @@ from dynasindy.dyna.callback import Callback, Place
 from dynasindy.dyna.components import Components, LoopSettings
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import train
-from dynasindy.envs import DelayedEnv
+from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, ImaginedReplay
 from dynasindy.sindy import Refinement, Regression, SindyModel
@@ -108,7 +108,7 @@ def pendulum(periods, sensors=None):
             reward=TrackingReward((4.0,)),
             max_steps=50,
         ),
-        env=partial(DelayedEnv, substeps=2, delay=0.05 * periods, dtype=torch.float64),
+        env=partial(ControlEnv, substeps=2, delay=0.05 * periods, dtype=torch.float64),
         excitation=partial(Multisine, duration=2.5, amplitude=[0.3]),
         world_model=partial(
             SindyModel,

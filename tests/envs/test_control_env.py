@@ -5,7 +5,6 @@ import torch
 from tensordict import TensorDict
 
 from dynasindy.envs import ControlEnv
-from dynasindy.envs.input_delay import DelayedEnv
 from dynasindy.systems import Pendulum, Signature, System, Tras, Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward, Wave
 
@@ -221,7 +220,7 @@ def test_bounds_that_exclude_where_episodes_begin_are_refused_before_anything_mo
 @pytest.mark.parametrize("delay", [0.0, 0.07])
 def test_periods_that_follow_each_other_are_advanced_one_by_one(delay):
     """Also where inputs are late, of which only `advance` knows."""
-    env = DelayedEnv.around(make(), delay) if delay else make()
+    env = make(delay=delay)
     rng, x = torch.Generator().manual_seed(0), torch.zeros(3, 6)
     u = 2 * torch.rand(8, 3, 2, generator=rng) - 1
     if delay:

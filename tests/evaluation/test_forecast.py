@@ -6,7 +6,7 @@ import torch
 from scipy.integrate import solve_ivp
 
 from dynasindy.dyna.verdict import judge_run
-from dynasindy.envs import ControlEnv, DelayedEnv
+from dynasindy.envs import ControlEnv
 from dynasindy.evaluation import forecast as module
 from dynasindy.evaluation.forecast import Forecast, predict
 from dynasindy.evaluation.scenarios import Scenario
@@ -180,7 +180,7 @@ def test_a_doubt_breaks_a_promise():
 def test_another_task_is_drawn_from_the_same_seed_as_without_a_delay():
     plant = Pendulum()
     task = Tracking(plant.signature, RandomStep([-0.5], [0.5]), ("theta",), ("Omega",), TrackingReward((1.0,)))
-    plain, late = ControlEnv(plant, task), DelayedEnv.around(ControlEnv(plant, task), 0.02)
+    plain, late = ControlEnv(plant, task), ControlEnv(plant, task, delay=0.02)
     drawn = [
         float(env.with_task(task, *seed).reset()["reference"]) for env in (plain, late) for seed in ((), (0,), (1,))
     ]
