@@ -257,29 +257,23 @@ class ControlEnv(EnvBase):
             policy = self.rand_action
         else:
             policy = _make_compatible_policy(policy, self.observation_spec, env=self, fast_wrap=True)
-        begun: list[dict[str, Any]] = []
-        ended: dict[str, list[Any]] = {}
         most = min(max_steps, self.task.max_steps) if break_when_any_done else max_steps
-        memory: dict[str, Tensor] = {}
+        begun, ended = _Periods(most), _Periods(most)
         while True:
             acted = policy(now)
             if acted is not now:
                 now.update(acted)
-            begun.append(dict(now.items()))
+            row = dict(now.items())
             after = dict(self._step(now).items())
-            shown = {**begun[-1].pop("next", {}), **after}
-            if len(begun) == 1:
-                memory = {key: _reserve(most + 1, value) for key, value in shown.items() if _is_plain(value)}
-                ended = {key: [] for key in shown}
-                for key in memory.keys() & begun[0].keys():
-                    memory[key][0] = begun[0][key]
-            for key, rows in ended.items():
-                rows.append(memory[key][len(begun)].copy_(shown[key]) if key in memory else shown[key])
-            over = bool(shown["done"].any())
-            if len(begun) == max_steps or (over and break_when_any_done):
-                return _stack_periods(begun, ended, memory, now.batch_size)
-            going_on = {key: ended[key][-1] for key in after if key != "reward"}
-            now = TensorDict({**begun[-1], **going_on}, now.batch_size, device=self.device)
+            ended.add({**row.pop("next", {}), **after})
+            begun.add(row)
+            over = bool(after["done"].any())
+            if begun.count == max_steps or (over and break_when_any_done):
+                shape, names = (*now.batch_size, begun.count), [*[None] * now.batch_dims, "time"]
+                following = TensorDict(ended.stack(now.batch_dims), shape)
+                return TensorDict({**begun.stack(now.batch_dims), "next": following}, shape, names=names)
+            going_on = {key: value for key, value in after.items() if key != "reward"}
+            now = TensorDict({**row, **going_on}, now.batch_size, device=self.device)
             if over:
                 now = self.maybe_reset(now)
             if callback is not None:
@@ -435,41 +429,32 @@ class ControlEnv(EnvBase):
         self.done_spec = Composite(done, shape=batch)
 
 
-def _is_plain(value: object) -> bool:
-    return isinstance(value, Tensor) and value.is_cpu and not value.requires_grad
+class _Periods:
+    """What control periods have, `most` at most, one behind another in memory, as a copy is fastest so."""
 
+    def __init__(self, most: int) -> None:
+        self.most, self.count, self.columns = most, 0, dict[str, Any]()
 
-def _reserve(count: int, like: Tensor) -> Tensor:
-    """Return room for tensors alike, by NumPy, which asks for large pages: small ones cost as much as physics."""
-    return torch.from_numpy(np.empty((count, *like.shape), like.numpy().dtype))
+    def add(self, values: dict[str, Any]) -> None:
+        """Add a period; numbers are copied at once, so that the memory of the next ones is in the cache already."""
+        if not self.count:
+            self.columns = {key: self._column(value) for key, value in values.items()}
+        for key, column in self.columns.items():
+            if isinstance(column, list):
+                column.append(values[key])
+            else:
+                column[self.count] = values[key]
+        self.count += 1
 
+    def _column(self, first: Any) -> Any:
+        if not isinstance(first, Tensor) or not first.is_cpu or first.requires_grad:
+            return []
+        # NumPy asks for large pages: small ones cost as much as physics.
+        return torch.from_numpy(np.empty((self.most, *first.shape), first.numpy().dtype))
 
-def _stack_periods(
-    begun: list[dict[str, Any]], ended: dict[str, list[Any]], memory: dict[str, Tensor], batch: torch.Size
-) -> TensorDict:
-    """Return control periods, `(*batch, T)`.
-
-    Args:
-        begun: What each begins with.
-        ended: What each ends with.
-        memory: Where some of that lies in a row, `(T or more + 1, *batch, n)`, behind what the first one begins with.
-        batch: Shape of what a period has.
-    """
-    count = len(begun)
-
-    def _along(rows: list[Any]) -> Any:  # period by period in memory, as a copy is fastest so
-        return (
-            torch.stack(rows).movedim(0, len(batch)) if isinstance(rows[0], Tensor) else torch.stack(rows, len(batch))
-        )
-
-    root = {}
-    following = {
-        key: memory[key][1 : count + 1].movedim(0, len(batch)) if key in memory else _along(rows)
-        for key, rows in ended.items()
-    }
-    for key in begun[0]:
-        rows = [each[key] for each in begun]
-        same = key in memory and all(one is other for one, other in zip(rows[1:], ended[key]))
-        root[key] = memory[key][:count].clone().movedim(0, len(batch)) if same else _along(rows)
-    shape, names = (*batch, count), [*[None] * len(batch), "time"]
-    return TensorDict({**root, "next": TensorDict(following, shape)}, shape, names=names)
+    def stack(self, place: int) -> dict[str, Any]:
+        """Return them with a dimension for time behind the `place` of the batch."""
+        return {
+            key: torch.stack(rows, place) if isinstance(rows, list) else rows[: self.count].movedim(0, place)
+            for key, rows in self.columns.items()
+        }

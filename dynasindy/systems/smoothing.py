@@ -65,11 +65,7 @@ def _filtered(column: Array, length: int, derivative: int) -> Array:
 @cache
 def _cubic(length: int, derivative: int) -> Array:
     """Return what turns samples into the cubic that fits them best, or its slope a sample, `(length, length)`."""
-    place, step = np.linspace(-1, 1, length), 2 / (length - 1)
-    values = np.polynomial.legendre.legvander(place, 3)
-    at = (
-        values
-        if not derivative
-        else np.stack([np.polynomial.Legendre.basis(k).deriv()(place) * step for k in range(4)], -1)
-    )
-    return np.asarray(at @ np.linalg.pinv(values))
+    place = np.linspace(-1, 1, length)
+    values = np.vander(place, 4, increasing=True)
+    slopes = np.array([0, 1, 2, 3]) * np.roll(values, 1, axis=1) * 2 / (length - 1)
+    return np.asarray((slopes if derivative else values) @ np.linalg.pinv(values))
