@@ -46,34 +46,25 @@ def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, machine_code: bool = T
         actor: the optimiser of the actor.
         machine_code: whether machine code is wanted.
     """
-    if machine_code and _readable(loss) and all(map(_usual, (critics, actor))):
+    if machine_code and _readable(loss, critics, actor):
         code = find_library(source("perceptron.c", "td3.c"), "TD3 learns", fast=True)
         if code is not None:
             return _MachineSteps(code, loss, critics, actor)
     return GradientSteps(loss, critics, actor)
 
 
-def _readable(loss: TD3Loss) -> bool:
-    """Return whether the machine code knows these networks: plain perceptrons in float32 in the CPU's memory."""
-    layers = (*loss.actor_layers, *loss.critic_layers)
-    tensors = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
+def _readable(loss: TD3Loss, *optimizers: Adam) -> bool:
+    """Return whether the code knows them: perceptrons in float32 on the CPU, and Adam as its authors describe it."""
+    tensors = [tensor for layer in (*loss.actor_layers, *loss.critic_layers) for tensor in layer]
+    groups = [group for each in optimizers for group in each.param_groups]
+    extras = any(group.get(name) for group in groups for name in ("weight_decay", "amsgrad", "maximize"))
+    usual = all(type(each) is Adam for each in optimizers) and len(groups) == len(optimizers) and not extras
     known = all(tensor.is_cpu and tensor.dtype == torch.float32 and tensor.requires_grad for tensor in tensors)
-    plain = len(loss.actor_layers) == len(loss.critic_layers)
-    return type(loss) is TD3Loss and known and plain
-
-
-def _usual(optimizer: Adam) -> bool:
-    """Return whether an optimiser is Adam as its authors describe it, with one group of weights."""
-    (group, *others), extras = optimizer.param_groups, ("weight_decay", "amsgrad", "maximize")
-    return type(optimizer) is Adam and not others and not any(group.get(name) for name in extras)
+    return type(loss) is TD3Loss and usual and known
 
 
 class _MachineSteps(GradientSteps):
-    """Steps of Adam down the two losses of TD3, as machine code.
-
-    Tensors of weights and of the optimisers are read where they lie now; where one has been replaced, the steps no
-    longer stand, and others take their place.
-    """
+    """Steps of Adam down the two losses of TD3, as machine code; tensors are read where they lay when it was made."""
 
     def __init__(self, code: ctypes.CDLL, loss: TD3Loss, critics: Adam, actor: Adam) -> None:
         super().__init__(loss, critics, actor)

@@ -139,14 +139,10 @@ class DynaReplay:
         device: torch.device | str = "cpu",
     ) -> None:
         model_capacity = capacity if model_capacity is None else model_capacity
-        if min(capacity, batch_size, model_capacity) < 1:
+        if not 1 <= batch_size <= capacity or model_capacity < 1:
             raise ValueError(
                 f"Replay has capacity={capacity}, batch_size={batch_size}, model_capacity={model_capacity}; "
-                "give positive numbers."
-            )
-        if batch_size > capacity:
-            raise ValueError(
-                f"Replay has batch_size={batch_size} and capacity={capacity}; give a batch that the storage holds."
+                "give positive numbers, and a batch that the storage holds."
             )
         if real_ratio is not None and not 0 <= real_ratio <= 1:
             raise ValueError(
@@ -188,23 +184,12 @@ class DynaReplay:
 
         Args:
             rows: As many rows as are to be replaced, `(n,)`, in the order of time.
-
-        Raises:
-            ValueError: There are fewer real rows.
         """
-        if len(rows) > len(self.real):
-            raise ValueError(f"Replay has {len(self.real)} real rows, given {len(rows)} to replace them.")
         places = (self.real.writer._cursor - len(rows) + torch.arange(len(rows))) % self.real.storage.max_size
         self.real.storage.set(places, rows, set_cursor=False)
 
     def keep_imagined(self, newest: int) -> None:
-        """Evict all imagined rows but the `newest`.
-
-        Raises:
-            ValueError: `newest` is negative.
-        """
-        if newest < 0:
-            raise ValueError(f"Replay was told to keep {newest} imagined rows; give 0 or more.")
+        """Evict all imagined rows but the `newest`."""
         if newest >= len(self.model):
             return
         rows = _in_order(self.model)[len(self.model) - newest :] if newest else None

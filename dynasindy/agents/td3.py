@@ -139,14 +139,12 @@ class DecayingGaussian(TensorDictModuleBase):
         # In the CPU's memory, so that a seed draws the same noise for every device.
         self.generator = torch.Generator().manual_seed(seed)
 
-    def sample(self, action: Tensor) -> Tensor:
-        """Return `action (*batch, n_u)` plus noise, within [-1, 1]."""
+    def perturb(self, action: Tensor) -> Tensor:
+        """Return `action (*batch, n_u)` plus noise, within [-1, 1]; itself inside a deterministic exploration type."""
+        if exploration_type() in _QUIET:
+            return action
         noise = torch.randn(action.shape, generator=self.generator, dtype=action.dtype).to(action.device)
         return (action + self.sigma * noise).clamp(-1.0, 1.0)
-
-    def perturb(self, action: Tensor) -> Tensor:
-        """Return `sample(action)`, or `action` itself inside a deterministic exploration type."""
-        return action if exploration_type() in _QUIET else self.sample(action)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Perturb `action` in place and decay the noise."""
@@ -162,14 +160,12 @@ class DecayingGaussian(TensorDictModuleBase):
         """
         return TensorDictModule(self.perturb, in_keys=["action"], out_keys=["action"])
 
-    def get_extra_state(self) -> dict[str, object]:
+    def get_extra_state(self) -> dict[str, Any]:
         """Return what `state_dict` keeps: the present sigma and the generator."""
         return {"sigma": self.sigma, "generator": self.generator.get_state()}
 
-    def set_extra_state(self, state: dict[str, object]) -> None:
+    def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore what `get_extra_state` returned."""
-        assert isinstance(state["sigma"], float)
-        assert isinstance(state["generator"], Tensor)
         self.sigma = state["sigma"]
         self.generator.set_state(state["generator"])
 

@@ -22,7 +22,6 @@ from dynasindy.systems.integrators import plain
 from dynasindy.systems.ranges import require_start_within
 from dynasindy.systems.steps import steps_of, time_step_of
 from dynasindy.tasks import Task, Tracking
-from dynasindy.tasks.base import constants
 from dynasindy.tasks.machine import TrackingMachine, tracking_machine
 
 FARTHEST = 1e4
@@ -363,7 +362,7 @@ class ControlEnv(EnvBase):
 
         It stays there: those states at the end of their ranges, the others where the period began.
         """
-        ends = self.left_beyond * constants(self.system.signature.x_scale, x.dtype, x.device)
+        ends = self.left_beyond * x.new_tensor(self.system.signature.x_scale)
         beyond = samples.abs() > ends
         first = samples.gather(-2, beyond.int().argmax(-2, keepdim=True)).squeeze(-2)
         there = torch.where(beyond.any(-2), torch.minimum(torch.maximum(first, -ends), ends), x)

@@ -295,15 +295,9 @@ def _period(copy: gymnasium.Env[Any, Any]) -> float | None:
 
 
 class _Observed:
-    """The state of a plant in the observations of a Gymnasium environment.
+    """The states in a Gymnasium environment's observation: some of its entries, and angles by sine and cosine.
 
-    An angle is told by its sine and its cosine up to whole turns. An episode begins in (-pi, pi], and from then on the
-    angle is the one that is nearest to that of the period before, so that an arm that turns on does not jump.
-
-    Args:
-        names: Names of the observation's entries, in their order.
-        states: Names of the states; each is an entry or an angle. Entries that are no state are not read.
-        angles: Angle to the names of its sine and its cosine.
+    An angle begins in (-pi, pi]; from then on it is the one nearest to that of the period before.
     """
 
     def __init__(
@@ -329,12 +323,7 @@ class _Observed:
         self.plain = not angles and list(names) == list(states)
 
     def state(self, observation: Tensor, before: Tensor | None = None) -> Tensor:
-        """Return the state, `(*batch, n_x)`, of observations `(*batch, n)`.
-
-        Args:
-            observation: What the environment shows.
-            before: State a period earlier, `(*batch, n_x)`; None at the start of an episode.
-        """
+        """Return the state, `(*batch, n_x)`, of observations `(*batch, n)`, and that `before`, unless they begin."""
         if self.plain:
             return observation
         x = observation[..., self.sine]

@@ -27,15 +27,9 @@ Array = NDArray[np.float32]
 
 
 class _GymControl(gymnasium.Env[Array, Array]):
-    """A `ControlEnv` with one row behind Gymnasium's interface.
+    """A `ControlEnv` with one row behind Gymnasium's interface; `info` holds `state` and `reference`.
 
-    Observation, action and reward are those of `ControlEnv`; `info` holds `state` and `reference`. Episodes
-    are truncated after the task's `max_steps` periods, or where the environment cuts them, and never terminated.
-    Actions are clipped to [-1, 1].
-
-    Args:
-        env: The environment to adapt; its batch size is ().
-        render_mode: None or "rgb_array".
+    Episodes are truncated, never terminated; actions are clipped to [-1, 1].
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012 (Gymnasium's name)
@@ -112,12 +106,7 @@ def _compiled_step(
 ) -> Callable[[Array], tuple[Array, float, dict[str, Any]]] | None:
     """Return a function that advances one row by a control period in two calls of machine code; None without that.
 
-    Args:
-        env: The environment.
-        begun: What it shows at the start of the episode; its state and its count of periods follow the episode.
-
-    Returns:
-        A function of the action, `(n_u,)`, that returns observation, reward, and state and reference.
+    State and count of periods in `begun` follow the episode.
     """
     x, params, steps = begun["state"], begun["task_params"].contiguous(), begun["step_count"]
     u = x.new_zeros(1, env.system.signature.n_u)

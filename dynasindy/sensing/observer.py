@@ -318,10 +318,8 @@ class Observer:
             self.scale[self.n_x :] = _positive(state["push_ranges"], len(self.pushed), "range", "pushes")
 
     def _size_pushes(self, means: Tensor, u: Tensor) -> None:
-        """Take as the range of a push on a state that is no rate what usually moves that state [its unit per second].
-
-        A rate's range in a second is right for machines, not for what takes minutes, as a tank does.
-        """
+        """Take as the range of a push on a state that is no rate what usually moves that [its unit per second]."""
+        # A rate's range in a second is right for machines, not for what takes minutes, as a tank does.
         x = means[len(means) // 2, :-1, : self.n_x]
         moves = self.model(x, u.double())[:, self.pushed]
         usual = moves.where(moves.isfinite(), 0.0).square().mean(0).sqrt()
@@ -421,8 +419,7 @@ class _Augmented(Altered):
 class _Kinematic(System):
     """A system whose states move at the rates that are states themselves, and otherwise stay.
 
-    An observer on it is a local polynomial with a fading memory: a line through the latest angles, whose slope is the
-    rate.
+    An observer on it is a line through the latest angles, with a fading memory.
     """
 
     machine_code = True

@@ -24,7 +24,6 @@ from dynasindy.sindy.named_libraries import LibraryBuilder, build_library
 from dynasindy.sindy.regression import Regression, RunningSums
 from dynasindy.systems import Diverged, Signature
 from dynasindy.tasks import Task
-from dynasindy.tasks.base import constants
 
 Reward = Callable[[Tensor, Tensor, Tensor], Tensor]
 """`(x, u, x_next) -> (*batch,)`: states, inputs in [-1, 1], and the states a control period later."""
@@ -73,7 +72,7 @@ class LearnedReward(Task):
 
     def observation(self, x: Tensor, params: Tensor, t: Tensor) -> Tensor:
         """Return the states in their ranges, `(*batch, n_x)`."""
-        return x / constants(self.signature.x_scale, x.dtype, x.device)
+        return x / x.new_tensor(self.signature.x_scale)
 
     def reward(self, x: Tensor, x_next: Tensor, params: Tensor, t_next: Tensor, at_stop: Tensor) -> Tensor:
         """Return what a control period without inputs earns, `(*batch,)`."""

@@ -221,13 +221,7 @@ class System(nn.Module, ABC):
         )
 
     def _machine(self, x: Tensor, u: Tensor, make: Callable[[torch.dtype], Machine]) -> Machine | None:
-        """Return machine code for such states and inputs; what cannot be made is not tried again before a change.
-
-        Args:
-            x: States, `(*batch, n_x)`.
-            u: Inputs, `(*batch, n_u)`.
-            make: Makes the code for a precision.
-        """
+        """Return machine code for such states and inputs; what cannot be made is not tried again before a change."""
         if "forward" in vars(self) or self._forward_hooks or self._forward_pre_hooks:
             return None  # its class does not say what it does
         if x.dtype not in self._machines:

@@ -120,13 +120,7 @@ def _require_rows_apart(system: System, dx: Tensor, turned: Tensor) -> None:
 
 
 def _places(system: System, begin: Tensor, bounds: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Return states `(N, n_x)` within the ranges of a plant and inputs `(N, n_u)`: along each state, and at random.
-
-    Args:
-        system: The plant.
-        begin: State in which it begins, `(n_x,)`.
-        bounds: Limits of its states, `(2, n_x)`; None or infinite where there is none.
-    """
+    """Return states `(N, n_x)` within the ranges of a plant and inputs `(N, n_u)`: along each state, and at random."""
     n_x, n_u = system.signature.n_x, system.signature.n_u
     scale = torch.tensor(system.signature.x_scale, dtype=begin.dtype)
     home = begin.where(begin.abs() > scale, 0.0)

@@ -139,10 +139,7 @@ def modes(a: Tensor, step: float | None = None) -> Tensor:
 
 
 def _continuous_rates(rates: Tensor, step: float) -> Tensor:
-    """Return the modes s [1/s], in continuous time, of a difference equation x + step a x, given the eigenvalues of a.
-
-    What is gone after a step has no mode; it counts as one of which `GONE` is left.
-    """
+    """Return the modes s [1/s] of a difference equation x + step a x; what is gone after a step counts as `GONE`."""
     factors = 1 + step * rates
     return torch.where(factors.abs() > GONE, factors, GONE).log() / step
 

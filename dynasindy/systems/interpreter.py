@@ -148,10 +148,7 @@ def _data(tensor: Tensor | None) -> ctypes.c_void_p:
 
 
 def _summed(xi: Tensor, slopes: Tensor, width: int) -> tuple[tuple[Tensor, Tensor], Tensor]:
-    """Return how slopes of rates are sums of slopes of functions, and the rates and variables of those not zero.
-
-    `slopes`, `(3, n)`, are the function, the variable and the place of each.
-    """
+    """Return how slopes of rates are sums of `slopes` of functions, and the rates and variables of those not zero."""
     if not slopes.numel():  # as of trajectories alone, which are many and short
         none = torch.zeros(2, 0, dtype=torch.int32)
         return (none, xi.new_zeros(0)), none
@@ -170,22 +167,10 @@ def _library() -> ctypes.CDLL:
 
 @lru_cache(maxsize=512)
 class _Listing:
-    """Instructions of functions and of their slopes, each value once; those of the slopes stand last.
+    """Instructions of functions and, unless `shapes` is None, of their slopes, which stand last; each value once.
 
-    Args:
-        program: the functions, its constants left out.
-        constants: how many there are.
-        shapes: see `simulate_sensitivities`; None for no slopes at all.
-
-    Attributes:
-        code: operation, operands and result of each, `(N, 4)` int32.
-        first: how many of them compute the functions.
-        functions: where each function is, `(n_functions,)` int64.
-        by_state: function, state and place of each slope that is not zero, `(3, n)`.
-        by_shape: the same by the numbers inside functions.
-        shapes: how many of these there are.
-        numbers: what stands in the formulas, behind the constants of the program.
-        values: how many values there are.
+    `code` is `(N, 4)`: operation, operands and result; the `first` ones compute the `functions`. `by_state` and
+    `by_shape` are function, variable and place of each slope that is not zero, `(3, n)`.
     """
 
     def __init__(self, program: Program, constants: int, shapes: tuple[int | None, ...] | None) -> None:

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from dynasindy.tasks.base import constants
-
 ERROR_SHAPES: dict[str, Callable[[Tensor, float], Tensor]] = {
     "quadratic": lambda error, width: error * error,
     "linear": lambda error, width: error * error / (width + error.abs()),
@@ -68,8 +66,7 @@ class TrackingReward:
         Returns:
             Rewards, `(*batch,)`.
         """
-        cost = ERROR_SHAPES[self.error_shape](error, self.width)
-        weights = constants(self.error_weights, error.dtype, error.device)
-        reward = -(cost * weights).sum(-1) - self.rate_weight * (rate_change * rate_change).sum(-1)
+        cost = ERROR_SHAPES[self.error_shape](error, self.width) * error.new_tensor(self.error_weights)
+        reward = -cost.sum(-1) - self.rate_weight * (rate_change * rate_change).sum(-1)
         reward = reward + self.bonus * (error.abs() < self.tolerance).to(error.dtype).sum(-1)
         return reward - self.stop_penalty * at_stop.to(error.dtype)

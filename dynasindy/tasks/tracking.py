@@ -15,7 +15,7 @@ from dynasindy.sentences import setting
 from dynasindy.systems import Signature, ranges
 from dynasindy.systems.ranges import Ends
 from dynasindy.tasks import references
-from dynasindy.tasks.base import Task, constants
+from dynasindy.tasks.base import Task
 from dynasindy.tasks.references import N_PARAMS, Reference
 from dynasindy.tasks.reward import ERROR_SHAPES, TrackingReward
 from dynasindy.text import did_you_mean
@@ -279,7 +279,7 @@ class Tracking(Task):
     def observation(self, x: Tensor, params: Tensor, t: Tensor) -> Tensor:
         """Return scaled states, errors and, if asked, reference rates [target ranges per second], `(*batch, n_o)`."""
         parts = [
-            x / constants(self.signature.x_scale, x.dtype, x.device),
+            x / x.new_tensor(self.signature.x_scale),
             self.error(x, params, t) / self._unit(x, self.error_scale),
         ]
         if self.observe_rate:
@@ -294,8 +294,7 @@ class Tracking(Task):
 
     def seen(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Return the states `(*batch, n_x)` and the references `(*batch, n_r)` of observations."""
-        scale = constants(self.signature.x_scale, observation.dtype, observation.device)
-        x = observation[..., : self.signature.n_x] * scale
+        x = observation[..., : self.signature.n_x] * observation.new_tensor(self.signature.x_scale)
         error = observation[..., self.error_columns] * self._unit(x, self.error_scale)
         return x, x[..., self.outputs] + error
 
@@ -309,7 +308,7 @@ class Tracking(Task):
         reward = self.reward_function(self.error(x_next, params, t_next) / unit, change / of_rates, at_stop)
         if not self.fence:
             return reward
-        outside = _beyond(x_next, self.bounds) / constants(self.signature.x_scale, x.dtype, x.device)
+        outside = _beyond(x_next, self.bounds) / x.new_tensor(self.signature.x_scale)
         return reward - self.fence * ERROR_SHAPES["linear"](outside, FENCE_WIDTH).sum(-1)
 
     def effort(self, u: Tensor) -> Tensor | None:
@@ -321,7 +320,7 @@ class Tracking(Task):
         return self.fence * ERROR_SHAPES["linear"](outside, FENCE_WIDTH).sum(-1)
 
     def _unit(self, like: Tensor, share: float) -> Tensor:
-        return constants(tuple(share * extent for extent in self._extents), like.dtype, like.device)
+        return like.new_tensor([share * extent for extent in self._extents])
 
 
 def _beyond(values: Tensor, ends: Tensor) -> Tensor:

@@ -113,8 +113,6 @@ def test_the_newest_real_rows_are_replaced_in_the_order_of_time_also_across_the_
     replay.extend_real(rows(1, 50.0))
     expected = [*before[:-3], 100, 200, 300, 50][-5:]
     assert replay.real_in_order()["next", "reward"].flatten().tolist() == expected
-    with pytest.raises(ValueError, match="replace"):
-        replay.rewrite_newest(rows(6))
 
 
 def test_a_real_rollout_that_is_not_finite_leaves_no_row():
