@@ -6,9 +6,11 @@ import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynasindy.identification.recording_diagnostics import sensor_resolution
 from dynasindy.rig.base import Array, Wiring
@@ -63,62 +65,46 @@ LAST = 0.5
 
 @dataclass(frozen=True)
 class FlightRecord:
-    """Hold a flight over time.
+    """A flight over time, as its log has it.
 
     Attributes:
+        signature: Names and units of the plant.
         names: Outputs.
-        units: Their units.
         time: `(T,)` [s].
         references: Targets, `(T, n_r)`.
         outputs: What was measured, NaN where a sample was lost, `(T, n_r)`; all NaN of an output without a sensor.
         inputs: `(T, n_u)` in [-1, 1], NaN where a sample was lost.
-        ends: Rows over which errors are taken: the last part of each target, bool `(T,)`.
         planned: Control periods that the flight was to last.
         fault: What ended it early, in words; empty if nothing did.
     """
 
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    signature: Signature
+    names: Sequence[str]
     time: Array
     references: Array
     outputs: Array
     inputs: Array
-    ends: Array
-    planned: int = 0
+    planned: int
     fault: str = ""
 
     @classmethod
     def of(
-        cls,
-        path: Path,
-        signature: Signature,
-        outputs: Sequence[str],
-        targets: Sequence[Sequence[float]],
-        fault: str = "",
+        cls, path: Path, signature: Signature, names: Sequence[str], targets: Sequence[Sequence[float]], fault: str = ""
     ) -> FlightRecord:
-        """Read the log of a flight that held one target after the other, each for as long.
-
-        Args:
-            path: Log, with as many rows as were flown.
-            signature: Names and units of the plant.
-            outputs: Tracked states.
-            targets: One number per output each, of every row, `(T, n_r)`.
-            fault: What ended it early, in words.
-        """
+        """Read the log of a flight, with as many rows as were flown, whose targets are given for all of its rows."""
         time, states, inputs = samples(path, signature)
-        places = [signature.state_index(name) for name in outputs]
         wanted = np.array([list(target) for target in targets], dtype=np.float64)[: len(time)]
-        return cls(
-            tuple(outputs),
-            tuple(signature.state_units[place] for place in places),
-            time,
-            wanted,
-            states[:, places],
-            inputs,
-            _ends(wanted),
-            len(targets),
-            fault,
-        )
+        y = states[:, [signature.state_index(name) for name in names]]
+        return cls(signature, names, time, wanted, y, inputs, len(targets), fault)
+
+    @property
+    def ends(self) -> NDArray[np.bool_]:
+        """Rows over which errors are taken: the last part of each target, bool `(T,)`."""
+        ends = np.zeros(len(self.time), dtype=bool)
+        jumps = (np.diff(self.references, axis=0) != 0).any(-1)
+        for start, stop in pairwise([0, *(np.flatnonzero(jumps) + 1).tolist(), len(ends)]):
+            ends[round(stop - LAST * (stop - start)) : stop] = True
+        return ends
 
     def errors(self) -> Array:
         """Return the mean absolute error of each output over the last part of each target, `(n_r,)`; NaN for none."""
@@ -131,8 +117,8 @@ class FlightRecord:
         if not len(self.time):
             return "no period was flown, so there is no error to tell"
         told = []
-        for k, (name, unit, error) in enumerate(zip(self.names, self.units, self.errors().tolist(), strict=True)):
-            step = sensor_resolution(self.outputs[:, k])
+        for name, output, error in zip(self.names, self.outputs.T, self.errors().tolist(), strict=True):
+            step, unit = sensor_resolution(output), self.signature.state_units[self.signature.state_index(name)]
             if not np.isfinite(error):
                 told.append(f"{name} was not measured")
             elif error < step:
@@ -152,18 +138,9 @@ def samples(path: Path, signature: Signature) -> tuple[Array, Array, Array]:
     """
     with path.open(newline="", encoding="utf-8") as file:
         headings, *rows = list(csv.reader(file))
-    names = [log_headings.partition(" [")[0] for log_headings in headings]
+    names = [heading.partition(" [")[0] for heading in headings]
     whole = [[float(cell) if cell else np.nan for cell in row] for row in rows if len(row) == len(names)]
     columns = np.array(whole).reshape(-1, len(names))
     table, missing = dict(zip(names, columns.T, strict=True)), np.full(len(columns), np.nan)
     states = np.stack([table.get(name, missing) for name in signature.state_names], -1)
     return table["time"], states, np.stack([table[name] for name in signature.input_names], -1)
-
-
-def _ends(targets: Array) -> Array:
-    """Return the rows in the last part of each stretch with one target, bool `(T,)`."""
-    ends = np.zeros(len(targets), dtype=bool)
-    edges = [0, *(np.flatnonzero((np.diff(targets, axis=0) != 0).any(-1)) + 1).tolist(), len(targets)]
-    for start, stop in zip(edges[:-1], edges[1:], strict=True):
-        ends[round(stop - LAST * (stop - start)) : stop] = True
-    return ends

@@ -35,7 +35,6 @@ class SimulatedRig:
         system: The plant.
         sensors: What is measured; all states as they are if omitted.
         clock: Clock of the plant, and of the flights.
-        safe: Safe input, `(n_u,)`; zeros if omitted.
         seed: Seed of the sensors' noise.
         step: Longest step of the simulation [s].
         delay: Time from an input to its effect, which is not told to anybody [s].
@@ -49,16 +48,14 @@ class SimulatedRig:
         system: System,
         sensors: Sensors | None = None,
         clock: RigClock = time,
-        safe: Array | None = None,
         seed: int = 0,
         step: float = 0.01,
         delay: float = 0.0,
         start: Tensor | None = None,
     ) -> None:
         self.system, self.sensors, self.clock, self.step, self.delay = system, sensors, clock, step, delay
-        self.safe = np.zeros(system.signature.n_u) if safe is None else np.asarray(safe, dtype=np.float64)
         self.x = torch.zeros(system.signature.n_x).double() if start is None else start.double()
-        self.u, self._time = self.safe, clock.monotonic()
+        self.u, self._time = np.zeros(system.signature.n_u), clock.monotonic()
         self._coming: deque[tuple[float, Array]] = deque()
         self._rng, self._lock = torch.Generator().manual_seed(seed), threading.Lock()
 
@@ -79,8 +76,8 @@ class SimulatedRig:
             self._move()
 
     def rest(self) -> None:
-        """Apply the safe input from now on."""
-        self.write(self.safe)
+        """Apply the safe input, zeros, from now on."""
+        self.write(np.zeros(self.system.signature.n_u))
 
     @torch.no_grad()
     def _move(self) -> None:
@@ -135,7 +132,7 @@ def rehearsal(
     require_plant(system, _begins, limits)
     late = dt * sensors.actuator_delay if sensors else 0.0
     rig = SimulatedRig(system, sensors, seed=seed, step=dt / 5, delay=late, start=_begins(torch.Size()))
-    integrate(system, rig.x, torch.from_numpy(rig.safe), dt, 5, system.stops)  # makes machine code before anybody asks
+    integrate(system, rig.x, torch.from_numpy(rig.u), dt, 5, system.stops)  # makes machine code before anybody asks
     try:
         yield rig
     finally:

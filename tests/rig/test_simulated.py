@@ -31,15 +31,15 @@ def test_time_passes_only_while_somebody_waits():
 
 def test_the_plant_moves_under_the_inputs_of_each_span_of_time():
     clock = FastClock()
-    rig = SimulatedRig(Pendulum(), clock=clock, safe=np.array([0.1]))
+    rig = SimulatedRig(Pendulum(), clock=clock)
     clock.sleep(0.03)  # the safe input, until others are given
     rig.write(np.array([0.5]))
     clock.sleep(0.02)
-    np.testing.assert_allclose(rig.read(0.1), by_hand([0.0, 0.0], [0.1] * 3 + [0.5] * 2, 0.01), atol=1e-12)
+    np.testing.assert_allclose(rig.read(0.1), by_hand([0.0, 0.0], [0.0] * 3 + [0.5] * 2, 0.01), atol=1e-12)
     rig.rest()
     clock.sleep(0.01)
-    np.testing.assert_allclose(rig.read(0.1), by_hand([0.0, 0.0], [0.1] * 3 + [0.5] * 2 + [0.1], 0.01), atol=1e-12)
-    assert rig.u.tolist() == [0.1]
+    np.testing.assert_allclose(rig.read(0.1), by_hand([0.0, 0.0], [0.0] * 3 + [0.5] * 2 + [0.0], 0.01), atol=1e-12)
+    assert rig.u.tolist() == [0.0]
 
 
 @pytest.mark.parametrize("step", [0.05, 0.01])

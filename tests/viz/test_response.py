@@ -143,8 +143,8 @@ WIRING = Wiring(RIG, (True, False), 0.1)
 AT = 0.1 * np.arange(5)
 MEASURED = np.stack([np.linspace(0.0, 0.4, 5), np.full(5, np.nan)], -1)
 ENDED = FlightRecord(
-    ("theta", "level"), ("rad", "m"), AT, np.tile([0.3, 0.5], (5, 1)), MEASURED, np.full((5, 1), 0.2),
-    np.ones(5, dtype=bool), 20, "range: theta is 0.5, outside of -0.45 to 0.45",
+    RIG, ("theta", "level"), AT, np.tile([0.3, 0.5], (5, 1)), MEASURED, np.full((5, 1), 0.2), 20,
+    "range: theta is 0.5, outside of -0.45 to 0.45",
 )  # fmt: skip
 
 
