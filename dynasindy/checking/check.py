@@ -146,18 +146,14 @@ class LoopSimulation:
         low, high = self.limits.to(self.u)
         return ((2 * self.u - low - high).abs() > FULL * (high - low)).double().mean(1)
 
+    def away(self, reach: Tensor) -> Tensor:
+        """Return which flights have run away: they end out of reach of their target, or in no number, bool `(rows,)`.
 
-def diverged_rows(y: Tensor, r: Tensor, reach: Tensor, dt: float) -> Tensor:
-    """Return which flights have run away: they end out of reach of their target, or in no number, bool `(rows,)`.
-
-    Args:
-        y: Outputs, `(rows, T + 1, n_r)`.
-        r: Their targets, `(n_r,)`.
-        reach: Distance of each output from its target beyond which it is out of reach, `(n_r,)`.
-        dt: Time between two samples [s].
-    """
-    end = y[:, -at_end(y.shape[1] - 1, dt) :]
-    return ~((end - r).abs() <= reach).all(-1).all(-1)
+        Args:
+            reach: Distance of each output from its target beyond which it is out of reach, `(n_r,)`.
+        """
+        apart = (self.x[:, -self.last :, self.outputs] - self.r.unsqueeze(1)).abs()
+        return ~(apart <= reach).all(-1).all(-1)
 
 
 def simulate_loop(
@@ -266,7 +262,7 @@ class Check:
         noise: Per target, standard deviation of the inputs per unit of noise, `(n_u, n_x)`; none likewise.
         sensors: Standard deviation of the noise of each state's measurement, as the controller's file has it, `(n_x,)`.
         steps: Flights from `begin` to each target.
-        drawn: Flights from `begin` to the farthest target with each plant that was drawn.
+        drawn: Flights from `begin` to the farthest target with each plant that was drawn, none if none was.
         spread: What becomes of the loop with other plants, at the targets where it is stable with the model.
         planes: From which errors around the middle of the target range the plant comes back.
         swings: What becomes of flights to the targets at which the loop is not stable.
@@ -283,7 +279,7 @@ class Check:
     noise: list[Array | None]
     sensors: Array
     steps: LoopSimulation
-    drawn: LoopSimulation | None
+    drawn: LoopSimulation
     spread: Spread
     planes: list[Plane]
     swings: LimitCycles
@@ -307,14 +303,6 @@ class Check:
         extent = torch.maximum(high - low, way)
         size = torch.tensor(self.loop.signature.x_scale, dtype=torch.float64)[outputs]
         return AWAY * extent.where(extent > 0, size)
-
-    @property
-    def ran_away(self) -> int:
-        """How many of the flights in `drawn` run away."""
-        if self.drawn is None:
-            return 0
-        y = self.drawn.x[..., self.drawn.outputs]
-        return int(diverged_rows(y, self.targets[self.farthest], self.reach, self.loop.dt).sum())
 
     def beginning(self) -> str:
         """Return in words where steps begin."""
@@ -351,10 +339,11 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
     others, how = variants(loop.model, settings.draws, settings.seed)
     sensors = None if loop.observer is None else loop.observer.sensors
     noise = torch.zeros(loop.signature.n_x) if sensors is None else sensors.variance(loop.signature).double()
-    drawn, phase = None, "steps of plants that differ from the model"
+    steps = simulate_loop(loop, begin.expand(len(targets), -1), targets, seconds)
+    drawn = replace(steps, x=steps.x[:0], u=steps.u[:0], r=steps.r[:0])
     if n := len(others):
-        starts, ends = begin.expand(n, -1), targets[farthest].expand(n, -1)
-        drawn = simulate_loop(loop.varied(others), starts, ends, seconds, phase)
+        phase = "steps of plants that differ from the model"
+        drawn = simulate_loop(loop.varied(others), begin.expand(n, -1), targets[farthest].expand(n, -1), seconds, phase)
     return Check(
         loop,
         settings,
@@ -366,7 +355,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         [loop_margins(smooth.row(k)) if smooth and ok else [] for k, ok in enumerate(good.tolist())],
         [noise for _, noise in both],
         noise.where(noise.isfinite(), 0.0).sqrt().numpy(),
-        simulate_loop(loop, begin.expand(len(targets), -1), targets, seconds),
+        steps,
         drawn,
         spread(loop, targets[good], rest.select(good), others, how, seconds),
         _recovery(loop, settings, targets, rest, seconds),

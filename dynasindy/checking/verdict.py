@@ -255,10 +255,11 @@ def _coefficients(found: Check, limits: Thresholds) -> list[Finding]:
     if not len(others.worst) or not held:
         return []
     rests, radius = others.worst < 1, float(others.worst.max())
+    away = int(found.drawn.away(found.reach).sum())
     error = largest_error(found, others.farthest[rests] if rests.any() else 0 * found.targets[:1], limits)
     facts = {"plants": len(rests), "held": held, "how": others.how, "unstable": int((~rests).sum())}
-    facts |= {"radius": radius, "slowest": _time_constant(radius, found.loop.dt), "ran_away": found.ran_away}
-    keeps = not (facts["unstable"] or found.ran_away) and error["share"] <= limits.error
+    facts |= {"radius": radius, "slowest": _time_constant(radius, found.loop.dt), "ran_away": away}
+    keeps = not (facts["unstable"] or away) and error["share"] <= limits.error
     return [_judged("coefficients", keeps, **facts, **error)]
 
 

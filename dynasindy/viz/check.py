@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from matplotlib.patches import Circle, Patch
 from torch import Tensor
 
 from dynasindy.checking import Check, Thresholds
-from dynasindy.checking.check import TOLERANCE, diverged_rows
+from dynasindy.checking.check import TOLERANCE
 from dynasindy.checking.linear_loop import frequencies, open_loop_response
 from dynasindy.text import format_duration
 from dynasindy.viz.style import (
@@ -104,17 +105,16 @@ def _nyquist(found: Check, limits: Thresholds) -> Figure:
 
 def _steps(found: Check, limits: Thresholds) -> Figure:
     signature, outputs, far, dt = found.loop.signature, found.loop.task.outputs, found.farthest, found.steps.dt
-    x, u = found.steps.x[far : far + 1], found.steps.u[far : far + 1]
-    if found.drawn is not None:
-        x, u = torch.cat([x, found.drawn.x]), torch.cat([u, found.drawn.u])
-    y, inputs = array(x[:, :, outputs]), signature.in_own_units(array(u))
+    x, u, r = (torch.cat([getattr(found.steps, part)[[far]], getattr(found.drawn, part)]) for part in "xur")
+    flights = replace(found.drawn, x=x, u=u, r=r)
+    y, inputs = array(x[..., outputs]), signature.in_own_units(array(u))
     targets, reach = array(found.targets[far]), array(found.reach)
     title = f"Farthest step, to {_in_words(found, found.targets[far])}"
     n_r, n_u = len(outputs), signature.n_u
     figure, axes = panels(n_r + n_u, 1, (7.0, 2.1 * n_r + 1.4 * n_u), title)
     seconds = array(dt * np.arange(y.shape[1]))
     near = np.isfinite(y) & (np.abs(y - targets) <= reach)
-    stays = ~diverged_rows(torch.from_numpy(y), torch.from_numpy(targets), torch.from_numpy(reach), dt).numpy()
+    stays = ~flights.away(found.reach).numpy()
     looks = _looks(stays.tolist(), f"coefficients {found.spread.how.partition(', ')[0]}")
     for i, (axis, state) in enumerate(zip(axes, outputs, strict=False)):
         axis.axhline(targets[i], color=BLACK, linestyle="--", linewidth=1.2, label="target")
