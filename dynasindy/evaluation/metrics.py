@@ -38,14 +38,12 @@ STEADY_PERIODS = 20
 """Fewest samples of that part."""
 STEADY_SHARE = 0.25
 """Largest share of the record that it takes."""
+RISE = (0.1, 0.9)
+"""Shares of the step between which it rises."""
 SETTLING_BAND = 0.05
 """Half width of the settling band, as a share of the step."""
 MIN_STEP = 0.05
 """Smallest step whose overshoot, rise and settling time are meaningful [target ranges]."""
-
-
-Smallest = Tensor | float
-"""Smallest step, of each output or of all."""
 
 
 def steady_seconds(dt: float, samples: int) -> float:
@@ -78,62 +76,43 @@ def tracking_metrics(
     smallest = MIN_STEP * (torch.ones(y.shape[-1]) if boxes is None else boxes).to(y)
     early = time < until if bool((time < until).sum() > 1) else torch.ones_like(time, dtype=torch.bool)
     t, before, target = time[early], y[..., early, :], r[..., early, :]
+    size = target[..., -1:, :] - before[..., :1, :]
+    step = (size.abs() >= smallest) & (target == target[..., -1:, :]).all(-2, keepdim=True)
+    progress = (before - before[..., :1, :]) / torch.where(step, size, 1.0)  # share of the step, 1 on the reference
+    of_steps = (100.0 * (progress.amax(-2) - 1.0).clamp_min(0.0), _rise_time(t, progress), _settling_time(t, progress))
     return {
         "rmse": error.square().mean(-2).sqrt(),
         "mean_abs_error": error.mean(-2),
         "steady_state_error": error[..., _steady(time), :].mean(-2),
-        "overshoot": overshoot(before, target, smallest),
-        "rise_time": rise_time(t, before, target, smallest=smallest),
-        "settling_time": settling_time(t, before, target, smallest=smallest),
+        **{name: torch.where(step.squeeze(-2), value, torch.nan) for name, value in zip(STEP, of_steps, strict=True)},
         "control_effort": u.square().mean(-2),
         "control_variation": u.diff(dim=-2).abs().mean(-2) / dt,
     }
 
 
-def overshoot(y: Tensor, r: Tensor, smallest: Smallest = MIN_STEP) -> Tensor:
-    """Return the largest excursion beyond a step reference, `(*batch, n_r)` [% of the step]."""
-    progress, valid = _progress(y, r, smallest)
-    return torch.where(valid, 100.0 * (progress.amax(-2) - 1.0).clamp_min(0.0), torch.nan)
-
-
-def rise_time(
-    time: Tensor, y: Tensor, r: Tensor, low: float = 0.1, high: float = 0.9, smallest: Smallest = MIN_STEP
-) -> Tensor:
-    """Return the time from `low` to `high` of the step, `(*batch, n_r)` [s], inf where never reached."""
-    progress, valid = _progress(y, r, smallest)
+def _rise_time(time: Tensor, progress: Tensor) -> Tensor:
+    """Return the time between two shares of the step, `(*batch, n_r)` [s], inf where the larger is never reached."""
     # inf - inf would be NaN, which is reserved for "not a step".
-    start, end = _first_crossing(time, progress, low), _first_crossing(time, progress, high)
-    return torch.where(valid, torch.where(end.isinf(), end, end - start), torch.nan)
+    start, end = (_first_crossing(time, progress, share) for share in RISE)
+    return torch.where(end.isinf(), end, end - start)
 
 
-def settling_time(
-    time: Tensor, y: Tensor, r: Tensor, band: float = SETTLING_BAND, smallest: Smallest = MIN_STEP
-) -> Tensor:
-    """Return the time after which the error stays within `band` of the step, `(*batch, n_r)` [s].
+def _settling_time(time: Tensor, progress: Tensor) -> Tensor:
+    """Return the time after which the error stays within the settling band, `(*batch, n_r)` [s].
 
     Infinite where a sample of the steady state is still outside the band: what enters it at the end crosses it only.
     """
-    progress, valid = _progress(y, r, smallest)
-    outside = (progress - 1.0).abs() > band
+    outside = (progress - 1.0).abs() > SETTLING_BAND
     # Index of the first sample that is inside together with all that follow it.
-    index = torch.where(outside, torch.arange(1, len(time) + 1, device=y.device).unsqueeze(-1), 0).amax(-2)
+    index = torch.where(outside, torch.arange(1, len(time) + 1, device=time.device).unsqueeze(-1), 0).amax(-2)
     never = outside[..., _steady(time), :].any(-2)
-    elapsed = (time - time[0])[index.clamp_max(len(time) - 1)]
-    return torch.where(valid, torch.where(never, torch.inf, elapsed), torch.nan)
+    return torch.where(never, torch.inf, (time - time[0])[index.clamp_max(len(time) - 1)])
 
 
 def _steady(time: Tensor) -> Tensor:
     """Return which samples count as steady state: exactly the last steady_seconds / dt."""
     dt = time[1] - time[0]
     return time > time[-1] - steady_seconds(float(dt), len(time)) + 0.5 * dt
-
-
-def _progress(y: Tensor, r: Tensor, smallest: Smallest) -> tuple[Tensor, Tensor]:
-    """Return the share of the step done so far, 1 on the reference, and which rows are steps."""
-    start, target = y[..., :1, :], r[..., -1:, :]
-    size = target - start
-    valid = (size.abs() >= smallest) & (r == target).all(-2, keepdim=True)
-    return (y - start) / torch.where(valid, size, 1.0), valid.squeeze(-2)
 
 
 def _first_crossing(time: Tensor, progress: Tensor, level: float) -> Tensor:

@@ -5,11 +5,10 @@ import math
 import pytest
 import torch
 
+from dynasindy.evaluation import metrics
 from dynasindy.evaluation.metrics import (
     MIN_STEP,
     TRACKING,
-    rise_time,
-    settling_time,
     steady_seconds,
     tracking_metrics,
 )
@@ -131,12 +130,20 @@ def test_every_figure_of_a_short_record_by_hand() -> None:
     assert found["control_variation"] == pytest.approx((0.5 + 1.0 + 1.5 + 0.0 + 1.0) / 7 / 0.5)
 
 
-def test_settling_is_at_the_band_and_never_if_the_last_sample_is_outside() -> None:
+def times(time: torch.Tensor, y: torch.Tensor, r: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return rise and settling time."""
+    found = tracking_metrics(time, y, r, torch.zeros_like(y))
+    return found["rise_time"], found["settling_time"]
+
+
+def test_settling_is_at_the_band_and_never_if_the_last_sample_is_outside(monkeypatch) -> None:
     time, y, r = record([0.0, 0.5, 0.75, 1.25, 1.0], 1.0)
-    assert settling_time(time, y, r, band=0.25).item() == 1.0  # 0.75 and 1.25 are still inside
-    assert settling_time(time, y, r, band=0.24).item() == 2.0
-    assert settling_time(time[:4], y[:4], r[:4], band=0.24).isinf()
-    assert settling_time(time, r, r).isnan()  # no step at all
+    monkeypatch.setattr(metrics, "SETTLING_BAND", 0.25)
+    assert times(time, y, r)[1].item() == 1.0  # 0.75 and 1.25 are still inside
+    monkeypatch.setattr(metrics, "SETTLING_BAND", 0.24)
+    assert times(time, y, r)[1].item() == 2.0
+    assert times(time[:4], y[:4], r[:4])[1].isinf()
+    assert times(time, r, r)[1].isnan()  # no step at all
 
 
 def test_what_crosses_the_band_in_the_steady_state_has_not_settled() -> None:
@@ -147,14 +154,15 @@ def test_what_crosses_the_band_in_the_steady_state_has_not_settled() -> None:
         y = torch.ones(400, 1).double()
         y[: last + 1] = 0.5
         y[0] = 0.0
-        assert settling_time(time, y, target).item() == pytest.approx(settled)
+        assert times(time, y, target)[1].item() == pytest.approx(settled)
     swinging = 1 + torch.cos(2 * time).unsqueeze(-1) * torch.where(time > 0, 1.0, -1.0).unsqueeze(-1)
     inside = time[((swinging[:, 0] - 1).abs() <= 0.05).nonzero()[-1]].item()
     end = round(inside / 0.05) + 1  # the record ends at a sample within the band, which it only crosses
-    assert settling_time(time[:end], swinging[:end], target[:end]).item() == math.inf
+    assert times(time[:end], swinging[:end], target[:end])[1].item() == math.inf
 
 
-def test_rise_counts_from_the_first_crossings_between_samples() -> None:
+def test_rise_counts_from_the_first_crossings_between_samples(monkeypatch) -> None:
     time, y, r = record([0.0, 0.4, 0.0, 0.8, 0.6, 1.0], 1.0)
-    assert rise_time(time, y, r, low=0.2, high=0.7).item() == pytest.approx(0.5 * (2 + 0.7 / 0.8) - 0.25)
-    assert rise_time(time[:3], y[:3], r[:3]).isinf()  # it began and never arrived
+    monkeypatch.setattr(metrics, "RISE", (0.2, 0.7))
+    assert times(time, y, r)[0].item() == pytest.approx(0.5 * (2 + 0.7 / 0.8) - 0.25)
+    assert times(time[:3], y[:3], r[:3])[0].isinf()  # it began and never arrived
