@@ -9,12 +9,11 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from dynasindy.checking.closed_loop import ClosedLoop
+from dynasindy.checking.closed_loop import ClosedLoop, LoopSimulation
 from dynasindy.checking.linear_loop import (
     Array,
     Margins,
     RestingLoop,
-    at_end,
     find_rest,
     guess_rest,
     loop_margins,
@@ -32,8 +31,6 @@ DRAWN = 0.05
 """Largest share by which coefficients are drawn at random where the model does not tell how well it knows them."""
 WITHIN = f"each within {100 * DRAWN:g} % of itself, as the model tells no standard errors"
 """How they were drawn by that share."""
-FULL = 0.99
-"""Part of its way from the middle to a limit at which an input counts as saturated."""
 TOLERANCE = 0.05
 """Distance of a plant which has come back from where the loop rests [ranges of the output]."""
 AWAY = 3.0
@@ -96,87 +93,6 @@ class Settings:
         low, high = (torch.tensor(ends, dtype=torch.float64) for ends in (self.low, self.high))
         axes = torch.lerp(low.unsqueeze(-1), high.unsqueeze(-1), torch.tensor(parts, dtype=torch.float64))
         return torch.cartesian_prod(*axes).reshape(-1, len(axes))
-
-
-@dataclass(frozen=True)
-class LoopSimulation:
-    """Flights of one length.
-
-    Attributes:
-        x: States, `(rows, T + 1, n_x)`.
-        u: Inputs held in between, `(rows, T, n_u)`.
-        r: References, `(rows, n_r)`.
-        outputs: Indices of the tracked states.
-        dt: Control period [s].
-        limits: Least and largest inputs, `(2, n_u)`.
-    """
-
-    x: Tensor
-    u: Tensor
-    r: Tensor
-    outputs: list[int]
-    dt: float
-    limits: Tensor
-
-    @property
-    def last(self) -> int:
-        """How many samples at the end count as steady."""
-        return at_end(self.u.shape[1], self.dt)
-
-    @property
-    def steady_error(self) -> Tensor:
-        """Mean absolute error of each output over the last seconds, `(rows, n_r)`; infinite where a flight diverged."""
-        error = (self.x[:, -self.last :, self.outputs] - self.r.unsqueeze(1)).abs().mean(1)
-        return error.nan_to_num(torch.inf, torch.inf)
-
-    @property
-    def end(self) -> Tensor:
-        """Mean of each output over the last seconds, `(rows, n_r)`."""
-        return self.x[:, -self.last :, self.outputs].mean(1)
-
-    @property
-    def slew(self) -> Tensor:
-        """Largest change of each input from a period to the next, the first one from zero, `(rows, n_u)`."""
-        first = torch.zeros_like(self.u[:, :1])
-        return torch.cat([first, self.u], 1).diff(dim=1).abs().amax(1)
-
-    @property
-    def saturated(self) -> Tensor:
-        """Share of the control periods in which each input is at its limit, `(rows, n_u)`."""
-        low, high = self.limits.to(self.u)
-        return ((2 * self.u - low - high).abs() > FULL * (high - low)).double().mean(1)
-
-    def away(self, reach: Tensor) -> Tensor:
-        """Return which flights have run away: they end out of reach of their target, or in no number, bool `(rows,)`.
-
-        Args:
-            reach: Distance of each output from its target beyond which it is out of reach, `(n_r,)`.
-        """
-        apart = (self.x[:, -self.last :, self.outputs] - self.r.unsqueeze(1)).abs()
-        return ~(apart <= reach).all(-1).all(-1)
-
-
-def simulate_loop(
-    loop: ClosedLoop, x: Tensor, r: Tensor, seconds: float, phase: str = "steps to the targets"
-) -> LoopSimulation:
-    """Switch the controller on at states `(rows, n_x)` and let it hold references `(rows, n_r)`.
-
-    Args:
-        loop: The loop.
-        x: States.
-        r: References.
-        seconds: Length of each flight [s].
-        phase: What is under way, in words.
-    """
-    (z, covariance), r, states, inputs = loop.started(x.double()), r.double(), [x.double()], []
-    periods = max(1, round(seconds / loop.dt))
-    for _ in track(phase, range(periods), periods, "control periods"):
-        z, covariance, u = loop.step(z, covariance, r)
-        states.append(z[:, loop.parts["x"]])
-        inputs.append(u)
-    return LoopSimulation(
-        torch.stack(states, 1), torch.stack(inputs, 1), r, loop.task.outputs, loop.dt, loop.task.input_limits
-    )
 
 
 @dataclass(frozen=True)
@@ -339,11 +255,11 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
     others, how = variants(loop.model, settings.draws, settings.seed)
     sensors = None if loop.observer is None else loop.observer.sensors
     noise = torch.zeros(loop.signature.n_x) if sensors is None else sensors.variance(loop.signature).double()
-    steps = simulate_loop(loop, begin.expand(len(targets), -1), targets, seconds)
+    steps = loop.fly(begin.expand(len(targets), -1), targets, seconds)
     drawn = replace(steps, x=steps.x[:0], u=steps.u[:0], r=steps.r[:0])
     if n := len(others):
         phase = "steps of plants that differ from the model"
-        drawn = simulate_loop(loop.varied(others), begin.expand(n, -1), targets[farthest].expand(n, -1), seconds, phase)
+        drawn = loop.varied(others).fly(begin.expand(n, -1), targets[farthest].expand(n, -1), seconds, phase)
     return Check(
         loop,
         settings,
@@ -399,7 +315,7 @@ def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: Resti
     if loop.stops is not None:
         flat = loop.stops.apply(flat)[0]
     flat = torch.cat([flat, x.to(flat).unsqueeze(0)])
-    flights = simulate_loop(loop, flat, r.expand(len(flat), -1), seconds, "recovery from initial errors")
+    flights = loop.fly(flat, r.expand(len(flat), -1), seconds, "recovery from initial errors")
     left = replace(flights, r=flights.end[-1:]).steady_error  # from there, not from the target
     back = (left <= TOLERANCE * scale[task.outputs]).all(-1)[:-1].unflatten(0, (len(pairs), points, points))
     names, units, error = signature.state_names, signature.state_units, flights.steady_error[-1]
@@ -418,7 +334,7 @@ def _limit_cycles(loop: ClosedLoop, targets: Tensor, lost: Tensor, seconds: floa
         return found
     r, part = targets[lost], max(1, round(seconds / loop.dt))
     phase = "flights where the loop is not stable"
-    flights = simulate_loop(loop, begin.expand(len(r), -1), r, found.seconds, phase)
+    flights = loop.fly(begin.expand(len(r), -1), r, found.seconds, phase)
     y = flights.x[..., flights.outputs]
     before, last = _half(y[:, -2 * part : -part]), _half(y[:, -part:])
     found.outputs[lost] = torch.where(last > GROWTH * before, math.inf, last).nan_to_num(math.inf, math.inf)

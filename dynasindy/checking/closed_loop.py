@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import dataclass
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -26,6 +27,7 @@ from torch import Tensor
 
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlLaw, ControlSetup, Memory
+from dynasindy.progress import track
 from dynasindy.sensing.observer import Belief
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, integrate, steps_needed
@@ -39,6 +41,12 @@ FINEST = 0.01
 """A Runge-Kutta step that is short enough for whatever moves, as those of the controller are [s]."""
 SETTLED = 600
 """Control periods after which the covariance of the observer is taken as steady."""
+LAST = 2.0
+"""Longest end of a flight in which its steady error is read [s]."""
+SHARE = 0.25
+"""Largest share of a flight that it takes: a fast plant flies for less than `LAST`, and its way is no steady error."""
+FULL = 0.99
+"""Part of its way from the middle to a limit at which an input counts as saturated."""
 
 
 def longest_step(model: SindyModel, setup: ControlSetup, finest: float = FINEST) -> float:
@@ -61,6 +69,64 @@ def longest_step(model: SindyModel, setup: ControlSetup, finest: float = FINEST)
     finest = min(finest, setup.dt / substeps)
     number, _ = steps_needed(model, x, u, setup.dt, substeps, setup.stops, FINE)
     return finest if number is None else max(finest, setup.dt / number)
+
+
+@dataclass(frozen=True)
+class LoopSimulation:
+    """Flights of one length.
+
+    Attributes:
+        x: States, `(rows, T + 1, n_x)`.
+        u: Inputs held in between, `(rows, T, n_u)`.
+        r: References, `(rows, n_r)`.
+        outputs: Indices of the tracked states.
+        dt: Control period [s].
+        limits: Least and largest inputs, `(2, n_u)`.
+    """
+
+    x: Tensor
+    u: Tensor
+    r: Tensor
+    outputs: list[int]
+    dt: float
+    limits: Tensor
+
+    @property
+    def last(self) -> int:
+        """How many samples at the end count as steady."""
+        return max(1, min(round(LAST / self.dt), round(SHARE * self.u.shape[1])))
+
+    @property
+    def steady_error(self) -> Tensor:
+        """Mean absolute error of each output over the last seconds, `(rows, n_r)`; infinite where a flight diverged."""
+        error = (self.x[:, -self.last :, self.outputs] - self.r.unsqueeze(1)).abs().mean(1)
+        return error.nan_to_num(torch.inf, torch.inf)
+
+    @property
+    def end(self) -> Tensor:
+        """Mean of each output over the last seconds, `(rows, n_r)`."""
+        return self.x[:, -self.last :, self.outputs].mean(1)
+
+    @property
+    def slew(self) -> Tensor:
+        """Largest change of each input from a period to the next, the first one from zero, `(rows, n_u)`."""
+        first = torch.zeros_like(self.u[:, :1])
+        return torch.cat([first, self.u], 1).diff(dim=1).abs().amax(1)
+
+    @property
+    def saturated(self) -> Tensor:
+        """Share of the control periods in which each input is at its limit, `(rows, n_u)`."""
+        low, high = self.limits.to(self.u)
+        return ((2 * self.u - low - high).abs() > FULL * (high - low)).double().mean(1)
+
+    def away(self, reach: Tensor) -> Tensor:
+        """Return which flights have run away: they end out of reach of their target, or in no number, bool `(rows,)`.
+
+        Args:
+            reach: Distance of each output from its target beyond which it is out of reach, `(n_r,)`.
+        """
+        apart = (self.x[:, -self.last :, self.outputs] - self.r.unsqueeze(1)).abs()
+        return ~(apart <= reach).all(-1).all(-1)
 
 
 class _Moved(NamedTuple):
@@ -157,6 +223,29 @@ class ClosedLoop:
         """Return vector and covariance at states in which the controller is switched on, after inputs of zero."""
         z = self.at(x, torch.zeros(*x.shape[:-1], self.signature.n_u, dtype=torch.float64))
         return z, torch.zeros(*x.shape[:-1], *self.law.shapes[2], dtype=torch.float64)
+
+    def fly(self, x: Tensor, r: Tensor, seconds: float, phase: str = "steps to the targets") -> LoopSimulation:
+        """Switch the controller on at states `(rows, n_x)` and let it hold references `(rows, n_r)`.
+
+        Args:
+            x: States.
+            r: References.
+            seconds: Length of each flight [s].
+            phase: What is under way, in words.
+        """
+        return self.run(*self.started(x.double()), r.double(), seconds, phase)[0]
+
+    def run(
+        self, z: Tensor, covariance: Tensor, r: Tensor, seconds: float, phase: str
+    ) -> tuple[LoopSimulation, Tensor, Tensor]:
+        """Let loops run from vectors and covariances on; return what they do, and both at the end."""
+        states, inputs, periods = [z[:, self.parts["x"]]], [], max(1, round(seconds / self.dt))
+        for _ in track(phase, range(periods), periods, "control periods"):
+            z, covariance, u = self.step(z, covariance, r)
+            states.append(z[:, self.parts["x"]])
+            inputs.append(u)
+        x, u = torch.stack(states, 1), torch.stack(inputs, 1)
+        return LoopSimulation(x, u, r, self.task.outputs, self.dt, self.task.input_limits), z, covariance
 
     def uncertain(self, z: Tensor) -> Tensor:
         """Return the covariance of an observer that has just begun, `(*batch, n_o, n_o)`; empty without one."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,7 +15,7 @@ from scipy.optimize import brentq
 from torch import Tensor
 
 from dynasindy.checking.closed_loop import ClosedLoop
-from dynasindy.progress import report_progress, track
+from dynasindy.progress import report_progress
 from dynasindy.systems.equilibria import find_equilibria
 
 NUDGE = 1e-5
@@ -27,10 +26,6 @@ LARGEST = 0.3
 """Longest Newton step [ranges]."""
 STILL = 1e-8
 """What a loop at rest may move in a control period [ranges]."""
-LAST = 2.0
-"""Longest end of a run in which its steady error is read [s]."""
-SHARE = 0.25
-"""Largest share of a run that it takes: a fast plant is flown for less than `LAST`, and its way is no steady error."""
 Array = NDArray[np.float64]
 
 BOUNDLESS = 1e3
@@ -183,7 +178,8 @@ def find_rest(loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, sec
     lost = (~(still & stable)).nonzero().flatten()  # with dry friction there are rests that no flight reaches
     ran = torch.zeros(len(r), loop.task.n_r, dtype=torch.float64)
     if len(lost):
-        moved, spread, ran[lost] = _run(loop.rows(lost), z[lost], covariance[lost], r[lost], seconds)
+        flown, moved, spread = loop.rows(lost).run(z[lost], covariance[lost], r[lost], seconds, RESTS)
+        ran[lost] = flown.steady_error
         again, calm = _newton(loop.rows(lost), moved, spread, r[lost])
         new = calm | ~still[lost]
         lost, again, spread, calm = lost[new], again[new], spread[new], calm[new]
@@ -192,27 +188,6 @@ def find_rest(loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, sec
         linear, _, u = _linearise(loop, found, covariance, r)
     error = (r - found[:, loop.parts["x"]][:, loop.task.outputs]).abs().where(still.unsqueeze(-1), ran)
     return RestingLoop(found, covariance, u, still, error, linear.finite())
-
-
-def at_end(periods: int, dt: float) -> int:
-    """Return how many control periods the end of a run has, in which its steady error is read.
-
-    Args:
-        periods: Control periods of the run.
-        dt: Control period [s].
-    """
-    return max(1, min(round(LAST / dt), round(SHARE * periods)))
-
-
-def _run(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor, seconds: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Let loops run; return vectors, covariances, and the mean absolute error over the last seconds, `(rows, n_r)`."""
-    steps = math.ceil(seconds / loop.dt)
-    last = at_end(steps, loop.dt)
-    errors: deque[Tensor] = deque(maxlen=last)
-    for _ in track(RESTS, range(steps), steps, "control periods of flights"):
-        z, covariance, _ = loop.step(z, covariance, r)
-        errors.append((r - z[:, loop.parts["x"]][:, loop.task.outputs]).abs())
-    return z, covariance, torch.stack([*errors]).mean(0).nan_to_num(torch.inf, torch.inf)
 
 
 def _newton(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Tensor, Tensor]:

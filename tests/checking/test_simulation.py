@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.check import LONGER, LoopSimulation, Settings, check, simulate_loop
+from dynasindy.checking.check import LONGER, Settings, check
+from dynasindy.checking.closed_loop import LoopSimulation
 
 HERE = Settings((0.0,), (0.0,), points=1, reach=0.5, draws=0)
 ENDS = Settings((-0.4,), (0.4,), points=2, grid=2, draws=0)
 
 
 def test_a_flight_is_the_power_of_a_matrix(loops):
-    flights = simulate_loop(loops(), torch.tensor([[0.4, -0.2]]), torch.tensor([[0.0]]), 2.0)
+    flights = loops().fly(torch.tensor([[0.4, -0.2]]), torch.tensor([[0.0]]), 2.0)
     closed = np.array([[1.0, 0.1], [0.0, 1.0]]) - np.array([[0.005], [0.1]]) @ np.array([[2.0, 2.5]])
     expected = [np.linalg.matrix_power(closed, k) @ flights.x[0, 0].numpy() for k in range(21)]
     np.testing.assert_allclose(flights.x[0], expected, atol=1e-10)

@@ -12,7 +12,8 @@ import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from dynasindy.checking.check import LoopSimulation, Settings, check
+from dynasindy.checking.check import Settings, check
+from dynasindy.checking.closed_loop import LoopSimulation
 from dynasindy.checking.linear_loop import Margins
 from dynasindy.checking.verdict import (
     Thresholds,
