@@ -140,12 +140,13 @@ def _named_unit(column: str, unit: str) -> str:
 LEFT_OUT = {
     "constant": "never changing",
     "counter": "growing evenly, as a counter or a second clock does",
-    "words": "words (write ON and OFF as 1 and 0)",
+    "words": "words (write OPEN and CLOSED as 1 and 0)",
     "empty": "empty",
     "dates": "dates beside the time",
     "reference": "references by name",
     "label": "labels, of two values or a few that hardly change",
     "derived": "sums of multiples of other columns",
+    "direct": "jumping with an input, as an acceleration does and no state can",
 }
 """Why columns are left out that nobody named."""
 
@@ -517,6 +518,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "log.coarse_clock": "{column} moves in ticks of {tick:.4g} s, and rows are taken as even, {dt:.6g} s apart",
     "log.overflow": "the time counts to {size:g} and goes on from 0 in line {lines:list}",
+    "log.sorted": "the time goes back {count} times, first in line {line}; the rows were put in its order",
     "log.restart": "the time begins anew in line {lines:list}, and so does a recording",
     "log.whole_seconds": lambda column: (
         f"{column} holds whole numbers without a unit: of a counter of rows give the true time between two in seconds, "
@@ -576,8 +578,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         f"{path} gives {count} {f'samples of {state}' if state else 'transitions'}; allowed are {least} or more: log "
         f"longer.{_taken(left_out)}"
     ),
-    "log.column_without_numbers": "the column {column} holds no number: log what it should hold, or leave it out",
-    "log.worded_input": "the input {column} holds words, such as {text!r}: write numbers, 1 and 0 for ON and OFF",
+    "log.column_without_numbers": "the column {column} holds no number: log what it should hold, or leave it out; rows "
+    "without a time are even where <data.dt> is given",
+    "log.worded_input": "the input {column} holds words, such as {text!r}: write numbers, 1 and 0 for OPEN and CLOSED",
     "log.absent_column": lambda key, column, path, columns: (
         f"<{key}> names '{column}'; {path} has "
         f"{', '.join(columns)}: name columns of the file{did_you_mean(column, columns)}"

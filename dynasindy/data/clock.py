@@ -20,6 +20,18 @@ MOSTLY = 0.9
 """Part of the steps that are one of two neighbouring numbers of ticks where an even clock was rounded to ticks."""
 LATE = 10
 """Usual steps within which a counter goes on after its overflow."""
+DAY = 86400.0
+YEARS = (1.26e9, 2.21e9)
+"""From 2010 to 2040, in seconds since 1970."""
+EPOCHS = {
+    **dict.fromkeys(("ms", "us", "ns"), (0.0,)),
+    "100ns": (11_644_473_600.0, 62_135_596_800.0),
+    "d": (25_569 * DAY, 40_587 * DAY, 719_529 * DAY, 2_440_587.5 * DAY),
+}
+"""Seconds from the beginnings of calendars to 1970, by the unit of their times: files and programs of Windows count in
+100 ns, spreadsheets, MATLAB and astronomers in days."""
+OVERFLOWS = (2.0**8, 2.0**16, 2.0**24, 2.0**32)
+"""Sizes of counters, which begin anew there."""
 FEWEST = 10
 """Rows of a recording that begins anew; single rows in disorder are none."""
 
@@ -209,18 +221,43 @@ def period_of(t: Array) -> float:
     return float(f"{np.median(np.diff(t)):.12g}")  # differences of decimals carry digits that nobody logged
 
 
-def _size_unit(values: Array) -> str:
-    """Return the unit of times since 1970, or days since 1900 or 1, which their size tells; empty for other times.
+def date_unit(values: Array) -> str:
+    """Return the unit of times that can only be dates, as their size tells; empty for other times.
 
     They are of the years from 2010 to 2040, and days are told from seconds by rows that would be less than 1 ms apart.
+    A part of a day, as spreadsheets write the time of day, has a period that is round in seconds of the day alone.
+
+    Args:
+        values: Time of each row, `(rows,)`.
     """
     if len(values) < 2:
         return ""
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    dates = {"ms": (1.26e12, 2.21e12), "us": (1.26e15, 2.21e15), "ns": (1.26e18, 2.21e18)}
-    if 0 < high - low < 1e-3 * len(values):
-        dates |= {"d": (40_179, 51_502), "days": (734_139, 745_462)}
-    return next((unit for unit, (first, last) in dates.items() if first <= low and high < last), "")
+    for unit, epochs in EPOCHS.items():
+        first, last = (np.add(epochs, seconds) / SECONDS[unit] for seconds in YEARS)
+        if ((first <= low) & (high < last)).any() and (unit != "d" or 0 < high - low < 1e-3 * len(values)):
+            return unit
+    step = float(np.nanmedian(np.diff(values)))
+    told = low > 0.01 and high < 1 and step > 0 and _has_digits(DAY * step, 3)
+    return "d" if told and not (_has_digits(step, 3) or _has_digits(1 / step, 2)) else ""
+
+
+def _has_digits(value: float, digits: int) -> bool:
+    """Tell whether so many digits say all of a number."""
+    return abs(float(f"{value:.{digits - 1}e}") / value - 1) < 1e-4
+
+
+def unwrap_overflow(values: Array) -> Array:
+    """Return whole numbers that go on where a counter overflowed once or more.
+
+    Args:
+        values: Numbers without gaps, `(rows,)`.
+    """
+    drops = np.diff(values) < 0
+    if not drops.any() or (values % 1).any():
+        return values
+    size = next((size for size in OVERFLOWS if np.ptp(values) < size), np.inf)
+    return values + size * np.append(0, drops.cumsum()) if np.ptp(values) > 0.9 * size else values
 
 
 def _unwrap_counter(values: Array, table: Table, unit: float, dt: float | None) -> tuple[Array, list[Finding]]:
@@ -231,7 +268,7 @@ def _unwrap_counter(values: Array, table: Table, unit: float, dt: float | None) 
         return values, []
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else (dt or 1.0) / unit
     starts, lines = drops + 1, table.frame.index[drops + 1].tolist()
-    for size in (2.0**16, 2.0**32, 2.0**24, 86400.0 / unit):
+    for size in (*OVERFLOWS, DAY / unit):
         if np.ptp(values) < size and bool(((steps[drops] + size > 0) & (steps[drops] + size <= LATE * usual)).all()):
             found, lifts = note("log.overflow", size=size, lines=lines), np.full(len(drops), size)
             break
@@ -259,7 +296,7 @@ def in_seconds(path: str, table: Table, unit: str, dt: float | None) -> tuple[Ar
     """
     heading, name = table.headings[0], split_unit(table.headings[0])[0]
     values = table.column(heading)
-    unit = "" if table.dated else unit or _size_unit(values)
+    unit = "" if table.dated else unit or date_unit(values)
     if unit and unit.lower() not in SECONDS:
         raise LogError("log.time_unit", file=path, column=heading, unit=unit, units=[*SECONDS])
     seconds = SECONDS.get(unit.lower(), 1.0)

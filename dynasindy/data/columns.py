@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.data.clock import CLOCK, clock_of, is_counter
+from dynasindy.data.clock import CLOCK, clock_of, date_unit, is_counter, unwrap_overflow
 from dynasindy.data.headings import (
     PLAIN_RATES,
     SECONDS,
@@ -180,8 +180,8 @@ def infer(
     driving = {found for name in inputs or () for found in find_names(name, columns)}
     kinds = {name: table.kinds[column.name] for name, column in columns.items()}
     moves = {name: moves for h, moves in table.moving().items() if (name := split_unit(h)[0]) in columns}
-    if timed:
-        t = table.column(clock)
+    if timed or dt is not None:
+        t = table.column(clock) if timed else np.arange(len(table.frame), dtype=np.float64)
         kinds |= {name: "counter" for name in moves if keeps_time(table.column(columns[name].name), t)}
     for name, kind in kinds.items():
         if kind in ("words", "dates") and (name in driving or (inputs is None and INPUT.fullmatch(name))):
@@ -218,6 +218,12 @@ def infer(
     why |= dict.fromkeys([*two], "label")
     basis = [moves[name] for name, reason in why.items() if reason in ("reference", "followed") and name in moves]
     why |= {name: "derived" for name in _derived(left(), basis) if name not in named}
+    driven = [
+        name
+        for name in left()
+        if name not in named and _acts_at_once(moves[name], [moves[n] for n in found if n in moves])
+    ]
+    why |= dict.fromkeys(driven if len(driven) < len(left()) else [], "direct")
     if states is None:
         chosen = [name for name in numeric if name not in why and name not in found]
     else:
@@ -229,7 +235,7 @@ def infer(
         }
         led = []
     out = list[Finding]()
-    for reason in ("constant", "counter", "words", "empty", "dates", "reference", "label", "derived"):
+    for reason in ("constant", "counter", "words", "empty", "dates", "reference", "label", "derived", "direct"):
         those: Any = [name for name, kind in why.items() if kind == reason]
         if reason == "constant":
             those = {name: float(np.nanmax(table.column(columns[name].name))) for name in those}
@@ -257,6 +263,17 @@ def _is_label(column: Array, rarely: bool = True) -> bool:
     return 1 < levels <= 10 and _standing(column) > 1 - RARE if rarely else levels == 2
 
 
+def _acts_at_once(column: Array, inputs: Sequence[Array]) -> bool:
+    """Tell whether a column jumps in the very rows in which an input does, and by as much: a state moves after them."""
+    for u in inputs if len(column) > 20 else ():
+        moved, jumps = np.diff(column), np.abs(np.diff(u)) > 0.05 * np.ptp(u)
+        if 10 <= jumps.sum() < 0.5 * len(moved):
+            far = np.median(np.abs(moved[jumps])) > 5 * np.median(np.abs(moved[~jumps]))
+            if far and abs(np.corrcoef(moved[jumps], np.diff(u)[jumps])[0, 1]) > 0.9:
+                return True
+    return False
+
+
 def _derived(columns: Mapping[str, Array], basis: Sequence[Array]) -> list[str]:
     """Return the columns that are sums of multiples of those before them and of a basis, but for their last digits.
 
@@ -280,7 +297,8 @@ def _derived(columns: Mapping[str, Array], basis: Sequence[Array]) -> list[str]:
 def _last_digit(column: Array) -> float:
     """Return the least distance between two numbers of a column, which its last digit makes, but for rounding."""
     steps = np.diff(np.unique(column))
-    return float(steps[steps > 1e-12 * np.abs(column).max()].min()) if len(steps) else 0.0
+    steps = steps[steps > 1e-12 * np.abs(column).max(initial=0.0)]
+    return float(steps.min(initial=np.inf)) if len(steps) else 0.0
 
 
 RARE = 0.01
@@ -309,9 +327,10 @@ def find_clock(path: Path, time: str, named: Collection[str], dt: float | None) 
     """Return the heading of the time of a log in which nothing is called one.
 
     It is the only column with a unit of time that rises throughout, and by much the same in most rows; dates are as
-    good as a unit. Where the sampling time is given it is else the counter of rows: the only column that grows all
-    along, in whole numbers and, but where rows are missing, by the same step. An encoder of a motor that turns one way
-    grows, too, by other steps. Where there is no such column, or a choice, what was given is returned.
+    good as a unit, and so are numbers that only a date can be. Where the sampling time is given it is else the counter
+    of rows: the only column that grows all along, in whole numbers and, but where rows are missing, by the same step.
+    An encoder of a motor that turns one way grows, too, by other steps. Where there is no such column, or a choice,
+    what was given is returned.
 
     Args:
         path: The file.
@@ -327,7 +346,7 @@ def find_clock(path: Path, time: str, named: Collection[str], dt: float | None) 
     if time != CLOCK or any(map(is_clock, table.headings)) or named_by(time, table.headings):
         return time
     growing = {heading: column for heading, column in table.moving().items() if grows(column)}
-    columns = {h: column for h, column in growing.items() if parts_of(h)[1].lower() in SECONDS}
+    columns = {h: column for h, column in growing.items() if parts_of(h)[1].lower() in SECONDS or date_unit(column)}
     columns |= {h: table.column(h) for h in table.dated if dt is None}
     found = [h for h, column in columns.items() if _is_regular(column)]
     if dt is not None and not found and not table.dated and len(growing) == 1:  # whole numbers, by one step
@@ -349,7 +368,7 @@ def _is_regular(column: Array) -> bool:
 def keeps_time(column: Array, t: Array) -> bool:
     """Tell whether a column grows as a time does, on a straight line or in even ticks of more than a row."""
     rows = np.isfinite(column) & np.isfinite(t)
-    x, t = column[rows], t[rows]
+    x, t = unwrap_overflow(column[rows]), t[rows]
     steps = np.diff(x)
     if len(t) < COUNTED or not (steps >= 0).all() or not grows(t):
         return False

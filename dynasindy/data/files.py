@@ -40,6 +40,10 @@ MEASURED = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)(?:\s+|(?![mkun]$))([^\d\
 DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}(?:[T ].*)?")
 LOST = frozenset(("nan", "-nan", "n/a", "#n/a", "na", "<na>", "null", "none", "#na", "nil"))
 """Words for a value that was not measured."""
+UNIT_LABEL = re.compile(r"(?i)unit|einheit")
+"""How a line of units is labelled, which may then stand anywhere above."""
+SWITCHED = ["ON", "OFF", "On", "Off", "on", "off", "YES", "NO", "Yes", "No", "yes", "no"]
+"""Words for 1 and 0, in turn."""
 Raw = tuple[pd.DataFrame, list[Finding]]
 
 
@@ -120,6 +124,8 @@ def _read_text(path: Path, file: TextIO) -> Raw:
             skip_blank_lines=False,
             skipinitialspace=True,
             low_memory=False,
+            true_values=SWITCHED[::2],
+            false_values=SWITCHED[1::2],
         )
     except pd.errors.EmptyDataError:
         frame = pd.DataFrame(columns=range(width), dtype=float)
@@ -152,6 +158,8 @@ def _encoding(path: Path) -> str:
         begin = file.read(4096)
     if begin.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
+    if begin[1::2].count(0) > 0.4 * len(begin):
+        return "utf-16-le"
     if b"\0" in begin:
         raise ValueError(
             f"{path} is not text; allowed is a CSV file with a line of headings: export the log as CSV, or give the "
@@ -198,9 +206,10 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     lower = rows[len(rows) // 2 :]
     width = max(map(len, lower))
     common = Counter(map(len, lower)).most_common(1)[0][0]
-    if common > MOST:
+    if common > MOST or common > 10 * len(rows):
         raise ValueError(
-            f"{path} has {common} values in a line; allowed are {MOST}, one a signal: exchange rows and columns"
+            f"{path} has {common} values in a line; allowed are {MOST}, one a signal, and a line a sample: exchange "
+            "rows and columns"
         )
     counts = Counter(place for row in lower for place, text in enumerate(row) if _is_value(text))
     numeric = {place for place, count in counts.items() if 2 * count >= len(lower)}
@@ -220,7 +229,9 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     decimal = "," if separator != "," and any(re.search(r"\d,\d", lines[k]) for k in filled[first:]) else "."
     pointed = [text for row in rows[first:] for text in row if "." in text and _is_value(text.replace(".", ""))]
     thousands = "." if decimal == "," and pointed and all(map(THOUSANDS.fullmatch, pointed)) else None
-    if not first:
+    numbered = rows[0] == [str(k) for k in range(common)]  # a program that knows no names wrote their places
+    if not first or (first == 1 and numbered):
+        filled, rows = filled[numbered:], rows[numbered:]
         width = max(map(len, rows))
         count = width - all(len(row) < width or not row[-1] for row in rows)  # with a trailing separator
         names = ("time", *(f"x{k}" for k in range(1, count - 1)), "u")[:count]
@@ -230,7 +241,8 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     differ = [k for k, row in enumerate(head) if _differ(row, common) and not (k and _are_units(row, head[k - 1]))]
     place = differ[-1] if differ and (differ[-1] or _differ(head[0], common)) else first - 1
     headings = head[place]  # a line such as `Smp, Smp, Smp` is none of headings
-    others = (*reversed(head[place + 1 :]), *head[:place][-1:])
+    labelled = (["", *row[1:], *[""] * (len(headings) - len(row))] for row in head if row and UNIT_LABEL.search(row[0]))
+    others = (*reversed(head[place + 1 :]), *head[:place][-1:], *labelled)
     units: Sequence[str] = next((row for row in others if _are_units(row, headings)), [])
     if units:
         bare = [re.sub(r"^[\[(]?-?[\])]?$|^[\[(]|[\])]$", "", unit) for unit in units]

@@ -14,6 +14,7 @@ SECONDS = {
         1.0: "s sec second seconds",
         1e-3: "ms msec millisecond milliseconds millis",
         1e-6: "us \u00b5s \u03bcs usec microsecond microseconds micros",
+        1e-7: "100ns",
         1e-9: "ns nsec",
         60.0: "min minute minutes",
         3600.0: "h hour hours",
@@ -69,7 +70,7 @@ def plain_heading(heading: str) -> str:
     """
     heading = " ".join(heading.split())
     own = name, unit = split_unit(heading)
-    if unit.isdigit():
+    if unit.isdigit() or unit[:1] in ("'", '"'):
         name, unit = heading, ""
     if not unit and (found := re.fullmatch(r"(.*?\w)(?:\s+in)?\s*(\u00b0[CF]?|%)", name)):  # no letters of a name
         name, unit = found.groups()

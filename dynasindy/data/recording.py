@@ -270,6 +270,9 @@ class LogReader:
         frame = _without_copies(_hold_inputs(frame, driving, findings), findings)
         frame, whole = _with_times(frame, driving, findings)
         t, of_time = in_seconds(path, replace(table, frame=frame), unit, self.dt)
+        if (np.diff(t) < 0).any() and (ordered := _in_order(frame, findings)) is not None:
+            frame, whole = ordered, ordered.iloc[:, driving].notna().all(axis=1).to_numpy()
+            t, of_time = in_seconds(path, replace(table, frame=frame), unit, self.dt)
         t, lines, values = t[whole], frame.index[whole], frame.to_numpy()[whole].T
         if len(t) < 2:
             raise LogError("log.too_few", path=path, count=0, least=LEAST, left_out=[])
@@ -331,6 +334,20 @@ def _without_copies(frame: pd.DataFrame, findings: list[Finding]) -> pd.DataFram
         return frame
     findings.append(note("log.copies", count=int(again.sum()), line=int(frame.index[again.argmax()])))
     return frame[~again]
+
+
+def _in_order(frame: pd.DataFrame, findings: list[Finding]) -> pd.DataFrame | None:
+    """Return rows in the order of their times, where these come as from one clock then: at no shorter steps than usual.
+
+    So some rows came late or twice, or the newest first. Where a clock was set back there are shorter steps.
+    """
+    said = list[Finding]()
+    ordered = _without_copies(frame.sort_values(frame.columns[0], kind="stable"), said)
+    steps, late = np.diff(ordered.iloc[:, 0]), np.diff(frame.iloc[:, 0]) < 0
+    if steps.min() < 0.6 * np.median(steps):
+        return None
+    findings += [note("log.sorted", count=int(late.sum()), line=int(frame.index[1:][late][0])), *said]
+    return ordered
 
 
 def _hold_inputs(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> pd.DataFrame:
@@ -421,7 +438,7 @@ def _counts_of_turn(steps: Array, rows: NDArray[np.int64], width: float) -> tupl
 
 def _one_period(parts: Sequence[_Part], dt: float | None) -> float:
     """Return the sampling time of all files, and refuse files of which one could not be joined to the first."""
-    first, own = parts[0], [period_of(part.t) if dt is None else dt for part in parts]
+    first, own = parts[0], [_period_of_samples(part) if dt is None else dt for part in parts]
     for part, period in zip(parts, own, strict=True):
         if abs(period - own[0]) > EVEN * own[0]:
             raise ValueError(
@@ -436,6 +453,14 @@ def _one_period(parts: Sequence[_Part], dt: float | None) -> float:
                     "allowed is one unit: write the files in the same one"
                 )
     return own[0]
+
+
+def _period_of_samples(part: _Part) -> float:
+    """Return the time between two rows, or between samples of a state where rows of several streams lie unevenly."""
+    steps, usual = np.diff(part.t), period_of(part.t)
+    most = max(part.x.values(), key=lambda column: int(np.isfinite(column).sum()))
+    streams = (np.abs(steps - usual) < 0.2 * usual).mean() < 0.5 and np.isfinite(most).sum() > 1
+    return period_of(part.t[np.isfinite(most)]) if streams else usual
 
 
 def _long_gaps(x: Mapping[str, Array], segment: NDArray[np.int64], findings: list[Finding]) -> NDArray[np.bool_]:

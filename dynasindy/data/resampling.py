@@ -74,9 +74,7 @@ def _between_jumps(t: Array, x: Array, jumps: NDArray[np.bool_], grid: Array) ->
 
     lost = ~np.isfinite(x)
     if lost.any():
-        near = np.searchsorted(0.5 * (t[1:] + t[:-1]), grid)  # the nearest sample
-        columns = [_measured_between(t, column, jumps, grid) for column in x.T]
-        return np.where(lost[near], np.nan, np.stack(columns, -1))
+        return np.stack([_measured_between(t, column, jumps, grid) for column in x.T], -1)
     found = np.stack([np.interp(grid, t, column) for column in x.T], -1)
     edges = [0, *(np.flatnonzero(jumps) + 1).tolist(), len(t) - 1]
     for start, end in pairwise(edges):
@@ -87,12 +85,18 @@ def _between_jumps(t: Array, x: Array, jumps: NDArray[np.bool_], grid: Array) ->
 
 
 def _measured_between(t: Array, column: Array, jumps: NDArray[np.bool_], grid: Array) -> Array:
-    """Return one state with lost samples at even times, `(n,)`, by those samples of it that there are."""
+    """Return one state with lost samples at even times, `(n,)`, by those samples of it that there are; NaN far of all.
+
+    A sensor that is stamped between two even times has a sample within half of the time between them.
+    """
     measured = np.isfinite(column)
     if measured.sum() < FEWEST:
         return np.full(len(grid), np.nan)
     steps = np.concatenate([[0], np.cumsum(jumps)])  # jumps until each sample
-    return _between_jumps(t[measured], column[measured, None], np.diff(steps[measured]) > 0, grid)[:, 0]
+    t = t[measured]
+    values = _between_jumps(t, column[measured, None], np.diff(steps[measured]) > 0, grid)[:, 0]
+    off = np.abs(t[np.searchsorted(0.5 * (t[1:] + t[:-1]), grid)] - grid)
+    return np.where(off > 0.5001 * np.ptp(grid) / max(len(grid) - 1, 1), np.nan, values)
 
 
 def _means(t: Array, u: Array, grid: Array, dt: float) -> Array:

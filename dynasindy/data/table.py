@@ -32,8 +32,9 @@ COUNTED = 5
 """Rows from which on a column that grows by one in each is a counter; fewer may do so by chance."""
 FRACTION = re.compile(r"(?:.*[\W_])?(n|u|m|nano|micro|milli)(?:s|secs?|seconds?)", re.IGNORECASE)
 """A heading of parts of a second, such as `nanosec`."""
-CLOCK_OF_ITS_OWN = re.compile(r"(.+[_ ./])(timestamp|time|stamp|t)", re.IGNORECASE)
-"""A heading that is the time of the columns with the same beginning, such as `left_time`."""
+CLOCK_OF_ITS_OWN = re.compile(r"(?:(.+)[_ ./])?(?:timestamp|time|stamp|t)(?:[_ ./](.+))?", re.IGNORECASE)
+"""A heading that is the time of the columns with the same beginning, such as `left_time` or `time_left`."""
+DATE_PARTS = ("year", "month", "day", "hour", "minute", "second")
 
 
 def correct_map() -> str:
@@ -157,15 +158,26 @@ def _lost_code(column: Array) -> float | None:
     """Return the number that stands for samples that were lost: a usual one, farther off the others than these lie."""
     finite = column[np.isfinite(column)]
     for end in (finite.min(), finite.max()) if len(finite) else ():
-        if abs(end) in CODES or abs(end) >= HUGE:
-            rest = finite[finite != end]
-            if len(rest) and np.abs(rest - end).min() > np.ptp(rest):
-                return float(end)
+        lost = finite == end
+        rest, known = finite[~lost], abs(end) in CODES or abs(end) >= HUGE
+        # Another number is one, too, where a column that moves is there again and again, for a few rows each time.
+        again = np.count_nonzero(np.diff(lost, prepend=False) & lost)
+        rare = end and again >= 3 and lost.sum() < min(5 * again, 0.2 * len(lost)) and (np.diff(rest) != 0).mean() > 0.5
+        if (known or rare) and len(rest) and np.abs(rest - end).min() > np.ptp(rest):
+            return float(end)
     return None
 
 
 def _with_whole_dates(table: Table) -> Table:
-    """Return a table in which a column of days and the one of the time of day are one column of dates."""
+    """Return a table in which a column of days and the one of the time of day, or parts of a date, are one of dates."""
+    parts = {part: h for h in table.headings for part in DATE_PARTS if len(h) > 2 and part.startswith(h.lower())}
+    if {*DATE_PARTS[:3]} <= {*parts}:
+        cells = table.frame[[*parts.values()]].set_axis([*parts], axis=1)
+        times = _since_1970(pd.to_datetime(cells, errors="coerce", utc=True))
+        dates = pd.concat(
+            [pd.Series(times, cells.index, name="time"), table.frame.drop(columns=[*parts.values()])], axis=1
+        )
+        return replace(table.edit(dates, {}), dated=table.dated | {"time"})
     dated = {heading: table.column(heading) for heading in table.headings if heading in table.dated}
     days = [name for name, column in dated.items() if bool((np.mod(column, DAY) == 0).all()) and column.any()]
     clocks = [name for name, column in dated.items() if name not in days and bool((column < DAY).all())]
@@ -194,26 +206,30 @@ def _with_fractions(table: Table) -> Table:
 def _with_one_clock(table: Table) -> Table:
     """Return a table whose columns of a second clock are taken to the times of the first one.
 
-    A column that is held for most of the time keeps its last value; others are on straight lines between two samples.
+    A column that is held for most of the time keeps its last value; others are on straight lines between two samples,
+    but where these are rarer than the times: they stand at the nearest ones, and other rows have none.
     """
     clocks = {
-        match[1]: heading
+        match[1] or match[2]: heading
         for heading in table.headings
-        if (match := CLOCK_OF_ITS_OWN.fullmatch(split_unit(heading)[0]))
-        if heading not in table.dated and grows(table.column(heading))
+        if (match := CLOCK_OF_ITS_OWN.fullmatch(split_unit(heading)[0])) and bool(match[1]) != bool(match[2])
+        if heading not in table.dated and grows(table.frame[heading].dropna().to_numpy())
     }
     if len(clocks) < 2 or any(map(is_clock, table.headings)):
         return table
     (_, first), *others = clocks.items()
     frame, moved, now = table.frame.copy(), list[str](), table.column(first)
     for begin, heading in others:
-        then = table.column(heading)
         for name in table.headings:
-            if name.startswith(begin) and name != heading:
-                column = table.column(name)
-                at = np.clip(np.searchsorted(then, now, side="right") - 1, 0, len(then) - 1)
-                held = (np.diff(column) == 0).mean() > 0.5
-                frame[name] = column[at] if held else np.interp(now, then, column)
+            if re.match(rf"{re.escape(begin)}($|[_ ./])", name) and name != heading:
+                then, column = table.frame[[heading, name]].dropna().to_numpy().T
+                if np.median(np.diff(then)) > 1.5 * np.nanmedian(np.diff(now)):
+                    rows = np.searchsorted(0.5 * (now[1:] + now[:-1]), then)
+                    frame[name] = pd.Series(column, frame.index[rows]).groupby(level=0).last().reindex(frame.index)
+                elif (np.diff(column) == 0).mean() > 0.5:
+                    frame[name] = column[np.clip(np.searchsorted(then, now, side="right") - 1, 0, len(then) - 1)]
+                else:
+                    frame[name] = np.interp(now, then, column)
                 moved.append(name)
     unit, left = split_unit(first)[1], [heading for _, heading in others]
     said = note("log.second_clock", columns=moved, clocks=left, first=first)
@@ -252,6 +268,7 @@ def _numbers(text: pd.Series) -> tuple[Array, Words | None, bool]:
     points = text.str.translate(PLAIN).str.replace(",", decimal, regex=False)
     points = points.str.replace(r"(?<=\d) (?=\d{3}(?:\D|$))", "", regex=True)
     points = points.str.replace(r"(?<=\d)[dD](?=[+-]?\d+$)", "e", regex=True)  # as Fortran writes
+    points = points.str.replace(r"^(?:\(([\d.]+)\)|([\d.]+)-|- +([\d.]\S*))$", r"-\1\2\3", regex=True)  # as bookkeepers
     numbers = pd.to_numeric(points, errors="coerce").to_numpy(np.float64, na_value=np.nan)
     worded = text[np.isnan(numbers) & ~text.fillna("").str.lower().isin(["", "nan"]).to_numpy(bool)]
     if not len(worded):
@@ -337,7 +354,7 @@ def select_columns(path: Path, names: Sequence[str], dt: float | None = None) ->
         raise ValueError(
             f"{path}, column {heading!r} has no number, but values such as {words[heading].text!r}; allowed are "
             "numbers, and of time dates such as 2024-05-31 12:00:00.05 or 31.05.2024 12:00:00.05: convert the column, "
-            "words such as ON and OFF to 1 and 0"
+            "words such as OPEN and CLOSED to 1 and 0"
         )
     said = [note("log.words", line=w.line, column=h, text=w.text, count=w.count) for h, w in words.items()]
     return replace(whole.edit(frame, {}, *said), words=words, dated=whole.dated & {first})

@@ -275,7 +275,7 @@ def test_what_a_sensor_writes_when_it_fails_counts_as_missing(tmp_path, value, l
     assert found.transitions.x[:, 0].numpy()[rows] == pytest.approx(level + ANGLE[:-1][rows], abs=1e-6)
 
 
-@pytest.mark.parametrize(("lost", "code"), [(-127.0, "log.spikes"), (9999.0, "log.code")])
+@pytest.mark.parametrize(("lost", "code"), [(-6.0, "log.spikes"), (9999.0, "log.code")])
 def test_a_sensor_that_fails_twice_in_a_row_is_missing_twice(tmp_path, lost, code):
     failed = [40, 100, 101, 180]
     angle = ANGLE.copy()

@@ -121,3 +121,147 @@ LEVEL = np.interp(T, [0, 1.5, 1.8, 3.3, 3.6, 4], [0, 355, 2, 355, 1, 90])  # of 
 def test_what_moves_within_its_range_stays(x):
     told = []
     assert np.array_equal(unwrap_angle("q", x, "-", told), x) and not told
+
+
+def _require_truth(found, rows=ROWS - 1):
+    assert (found.signature.state_names, found.signature.input_names) == (("angle", "rate"), ("u",))
+    assert found.transitions.dt == pytest.approx(0.01, rel=1e-3) and len(found.transitions) >= rows
+    assert found.transitions.x[:30, 0].numpy() == pytest.approx(ANGLE[:30], abs=1e-4)
+
+
+RATE = 12 * np.sin(3 * T)
+
+
+@pytest.mark.parametrize(
+    ("heading", "epoch", "per_second"),
+    [
+        ("FILETIME", 11_644_473_600, 1e7),
+        ("Ticks", 62_135_596_800, 1e7),
+        ("JD", 2_440_587.5 * 86400, 1 / 86400),
+        ("Date", 25_569 * 86400, 1 / 86400),
+        ("ts", 0, 1e3),
+    ],
+)
+def test_a_time_is_known_by_numbers_that_only_a_date_can_be(tmp_path, heading, epoch, per_second):
+    stamps = (epoch + 1_741_944_413 + 60 * T) * per_second
+    found = recording(tmp_path / "l.csv", f"{heading},angle,rate,u", stamps, ANGLE, RATE, COMMAND)
+    assert found.transitions.dt == pytest.approx(0.6, rel=1e-2) and found.signature.state_names == ("angle", "rate")
+
+
+@pytest.mark.parametrize(("seconds", "unit"), [(1.0, "d"), (86400 / 48000, "")])
+def test_a_part_of_a_day_is_told_from_seconds_by_its_period(tmp_path, seconds, unit):
+    stamps = np.round(0.39 + seconds * np.arange(ROWS) / 86400, 10)
+    found = recording(tmp_path / "l.csv", "Time,angle,rate,u", stamps, ANGLE, RATE, COMMAND)
+    (told,) = [each for each in found.findings if each.code == "log.time"]
+    assert told.values["unit"] == unit
+    assert found.transitions.dt == pytest.approx(seconds if unit else seconds / 86400, rel=1e-3)
+
+
+def test_a_counter_of_ticks_that_overflows_is_the_time_where_the_period_is_given(tmp_path):
+    ticks = (2**32 - 5_000_000 + 480_000 * np.arange(ROWS)) % 2**32
+    _require_truth(recording(tmp_path / "l.csv", "ticks,angle,rate,u", ticks, ANGLE, RATE, COMMAND, dt=0.01))
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        np.arange(ROWS)[::-1],
+        np.r_[0:100, 200:300, 100:200, 300:ROWS],
+        np.r_[0:50, 51, 50, 52:ROWS],
+        np.r_[0:200, 190:ROWS],
+    ],
+)
+def test_rows_that_came_late_or_twice_or_the_newest_first_are_put_in_order(tmp_path, order):
+    columns = (column[order] for column in (T, ANGLE, RATE, COMMAND))
+    found = recording(tmp_path / "l.csv", "time,angle,rate,u", *columns)
+    _require_truth(found)
+    assert "log.sorted" in {each.code for each in found.findings}
+
+
+def test_a_clock_that_was_set_back_is_refused(tmp_path):
+    with pytest.raises(LogError) as error:
+        recording(tmp_path / "l.csv", "time,angle,rate,u", T - 0.503 * (T > 2), ANGLE, RATE, COMMAND)
+    assert error.value.finding.code == "log.time_order"
+
+
+@pytest.mark.parametrize("text", ["({:.4f})", "{:.4f}-", "- {:.4f}"])
+def test_a_minus_stands_where_others_write_it(tmp_path, text):
+    cells = [f"{v:.4f}" if v >= 0 else text.format(-v) for v in RATE]
+    rows = (f"{t:.2f},{a:.6f},{r},{u:.4f}" for t, a, r, u in zip(T, ANGLE, cells, COMMAND, strict=True))
+    (tmp_path / "l.csv").write_text("\n".join(["time,angle,rate,u", *rows]))
+    found = LoggedData(str(tmp_path / "l.csv")).recording()
+    _require_truth(found)
+    assert found.transitions.x[:, 1].numpy() == pytest.approx(RATE[:-1], abs=1e-4)
+
+
+def test_a_number_far_off_that_comes_again_and_again_is_a_lost_sample(tmp_path):
+    angle = np.where(np.arange(ROWS) % 41 > 38, -20.0, ANGLE)
+    found = recording(tmp_path / "l.csv", "time,angle,rate,u", T, angle, RATE, COMMAND)
+    _require_truth(found)
+    assert found.transitions.x[:, 0].isnan().sum() == (angle[:-1] == -20).sum()
+
+
+def test_words_of_a_switch_are_an_input_and_a_label_in_the_line_of_units_is_no_unit(tmp_path):
+    on = COMMAND > 0
+    rows = (f"{t:.2f};{a:.6f};{r:.6f};{'ON' if u else 'OFF'}" for t, a, r, u in zip(T, ANGLE, RATE, on, strict=True))
+    above = ["Unit;mm;mm/s;", "Rate;100", "time;angle;rate;u"]
+    (tmp_path / "l.csv").write_text("\n".join([*above, *rows]))
+    found = LoggedData(str(tmp_path / "l.csv")).recording()
+    _require_truth(found)
+    assert found.signature.state_units == ("mm", "mm/s")
+    assert found.transitions.u[:, 0].tolist() == on[:-1].tolist()
+
+
+def test_places_in_the_stead_of_names_are_no_row(tmp_path):
+    found = recording(tmp_path / "l.csv", "0,1,2,3", T, ANGLE, RATE, COMMAND)
+    assert (found.signature.state_names, len(found.transitions)) == (("x1", "x2"), ROWS - 1)
+
+
+def test_rows_as_signals_are_refused_as_such(tmp_path):
+    rows = (",".join([name, *map(str, values)]) for name, values in (("time", T), ("angle", ANGLE), ("u", COMMAND)))
+    (tmp_path / "l.csv").write_text("\n".join(rows))
+    with pytest.raises(ValueError, match="exchange rows and columns"):
+        LoggedData(str(tmp_path / "l.csv")).recording()
+
+
+def test_text_of_two_bytes_a_letter_needs_no_mark(tmp_path):
+    rows = (",".join(map(str, row)) for row in zip(T, ANGLE, RATE, COMMAND, strict=True))
+    (tmp_path / "l.csv").write_bytes("\n".join(["time,angle,rate,u", *rows]).encode("utf-16-le"))
+    _require_truth(LoggedData(str(tmp_path / "l.csv")).recording())
+
+
+def test_the_parts_of_a_date_are_one_time(tmp_path):
+    seconds = np.round(59 + T, 4)
+    parts = (np.full(ROWS, 2025), np.full(ROWS, 3), np.full(ROWS, 14), np.full(ROWS, 9), seconds // 60, seconds % 60)
+    found = recording(tmp_path / "l.csv", "Year,Month,Day,Hour,Min,Sec,angle,rate,u", *parts, ANGLE, RATE, COMMAND)
+    _require_truth(found)
+
+
+def test_commands_between_two_samples_and_sensors_that_take_turns_leave_the_period_of_the_samples(tmp_path):
+    times = np.sort(np.concatenate([T, T + 0.003, T + 0.0005]))
+    turn = np.tile([0, 2, 1], ROWS)
+    angle, rate, command = (
+        np.where(turn == k, np.repeat(v, 3), np.nan) for k, v in enumerate((ANGLE, 12 * np.sin(3 * T + 0.009), COMMAND))
+    )
+    found = recording(tmp_path / "l.csv", "time,angle,rate,u", times, angle, rate, command)
+    assert found.transitions.dt == pytest.approx(0.01)
+    x = found.transitions.x.numpy()
+    assert np.isfinite(x).mean() > 0.95
+    assert np.nanmedian(np.abs(np.diff(x[:, 0]) / 0.01 - x[:-1, 1])) < 0.4
+
+
+def test_a_slower_clock_of_a_column_leaves_rows_without_it(tmp_path):
+    cells = [f"{t:.3f},{a:.6f}" for t, a in zip(T, ANGLE, strict=True)]
+    slow = [f",{t:.3f},{u:.4f}" for t, u in zip(T[::10], COMMAND[::10], strict=True)] + [",,"] * ROWS
+    rows = (a + b for a, b in zip(cells, slow))
+    (tmp_path / "l.csv").write_text("\n".join(["time_angle,angle,time_u,u", *rows]))
+    found = LoggedData(str(tmp_path / "l.csv")).recording()
+    assert found.transitions.u[:, 0].numpy() == pytest.approx(np.repeat(COMMAND[::10], 10)[:-1], abs=1e-4)
+
+
+def test_what_jumps_with_an_input_is_no_state(tmp_path):
+    command = np.where(np.arange(ROWS) // 15 % 2, 0.7, -0.4)
+    push = 8 * command + np.sin(T)
+    found = recording(tmp_path / "l.csv", "time,angle,rate,push,u", T, ANGLE, RATE, push, command)
+    _require_truth(found)
+    assert [each.values["why"] for each in found.findings if each.code == "log.left_out"] == ["direct"]
