@@ -8,11 +8,15 @@ import re
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
 
+from pydantic import Field
+
 if TYPE_CHECKING:
     import torch
 
-Count = Annotated[int, range(1_000_001), "the limit is arbitrary: more would hardly end"]
-"""A number of repetitions; configs are held to the limit, callers from Python are not."""
+Count = Annotated[int, Field(ge=0, le=1_000_000)]
+"""A number of repetitions; the limit is arbitrary, but more would hardly end."""
+Positive = Annotated[int, Field(ge=1, le=1_000_000)]
+"""The same, of at least one."""
 
 
 def memory() -> float:

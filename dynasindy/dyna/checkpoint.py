@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import time
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,12 +29,16 @@ State = dict[str, Any]
 class Checkpoints:
     """The newest states of a run, in a folder.
 
+    Attributes:
+        bytes: Size of the latest checkpoint that was written.
+        seconds: Time that all of them took.
+
     Args:
         folder: Folder of the files; made when the first is written.
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
+        self.folder, self.bytes, self.seconds = folder, 0, 0.0
 
     def save(self, number: int, state: Mapping[str, Any]) -> Path:
         """Write a state as `NUMBER.pt`, whole or not at all, and then remove all but the newest.
@@ -45,7 +50,7 @@ class Checkpoints:
         Raises:
             OSError: The file cannot be written; the earlier ones stay.
         """
-        buffer = io.BytesIO()
+        start, buffer = time.perf_counter(), io.BytesIO()
         torch.save(dict(state), buffer)
         payload = buffer.getbuffer()
         path = self.folder / f"{number:06d}.pt"
@@ -54,6 +59,7 @@ class Checkpoints:
             file.write(payload)
         for old in self._files()[:-KEPT]:
             old.unlink(missing_ok=True)
+        self.bytes, self.seconds = path.stat().st_size, self.seconds + time.perf_counter() - start
         return path
 
     def newest(self) -> State | None:

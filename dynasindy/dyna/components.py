@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import torch
+from pydantic import Field
 from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.envs import EnvBase, TransformedEnv
@@ -127,22 +128,8 @@ class LoopSettings:
         updates_per_step: Gradient updates per real step (update-to-data ratio).
         held_out: Every n-th window of 20 periods of the newest episode tests the refit instead of entering it; 0 tests
             nothing.
-
-    Raises:
-        ValueError: A number is negative, updates_per_step above 10000, or held_out is 1.
     """
 
     episodes: Count
-    updates_per_step: float = 1.0
-    held_out: int = 4
-
-    def __post_init__(self) -> None:
-        if self.episodes < 0 or not 0 <= self.updates_per_step <= 1e4:
-            raise ValueError(
-                "train needs episodes >= 0, updates_per_step >= 0 and, an arbitrary limit, <= 10000, "
-                f"got {self}; mend train"
-            )
-        if self.held_out < 0 or self.held_out == 1:
-            raise ValueError(
-                f"train.held_out is {self.held_out}; give 0 for no test, or 2 or more to leave data for the fit"
-            )
+    updates_per_step: Annotated[float, Field(ge=0, le=1e4)] = 1.0
+    held_out: Literal[0] | Annotated[int, Field(ge=2)] = 4

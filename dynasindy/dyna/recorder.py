@@ -89,7 +89,7 @@ class Recorder(Callback):
         evaluating.scenario.length(parts.plant)  # refuses one that is too short before anything is written
         self.folder, self.parts, self.plant = folder, parts, parts.plant
         self.evaluating, self.episodes = evaluating, episodes
-        self.save: Callable[[Place], None] | None = None
+        self.save: Callable[[], None] | None = None
         self.rows: list[dict[str, float | None]] = []
         self.decisions: list[dict[str, float | None]] = []
         self.start, self.seconds_before = time.perf_counter(), 0.0
@@ -168,7 +168,7 @@ class Recorder(Callback):
     def reached(self, place: Place) -> None:
         """Save the state, if it is due."""
         if self.save is not None:
-            self.save(place)
+            self.save()
 
     def finish(self, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Evaluate the final policy and write `metrics.json`, the policy, the model and the step response.

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -61,8 +59,13 @@ def run(
     """
     parts, place, checkpoints = recipe.build(), Place(), Checkpoints(folder / "checkpoints")
     recorder = Recorder(folder, parts, evaluating, recipe.train.episodes)
-    recorder.place = place
     kept: dict[str, Any] = {"place": place, "parts": parts, "recorder": recorder}
+
+    def _save() -> None:
+        if checkpoint_every and place.episodes % checkpoint_every == 0:  # before the first episode, too
+            checkpoints.save(place.number, {name: part.state_dict() for name, part in kept.items()})
+
+    recorder.place, recorder.save = place, _save
     with claimed(folder):
         refuse_links(folder)
         check_settings(folder, config)
@@ -70,9 +73,7 @@ def run(
             (folder / "error.txt").unlink(missing_ok=True)
             checkpoints.remove()  # of a process that was killed before it did
             return metrics
-        saver = _Saver(checkpoints, checkpoint_every, lambda: {name: p.state_dict() for name, p in kept.items()}, again)
-        recorder.save = saver.save
-        with _left_in_order(saver, recorder, lambda: place.present(recipe.train.episodes)):
+        with _left_in_order(recorder, place, lambda: _what_is_kept(checkpoints, again)):
             state = checkpoints.newest()
             if state is None and finish:
                 raise ValueError(f"{folder} keeps no checkpoint, there is nothing to finish; leave out finish=true")
@@ -90,43 +91,26 @@ def run(
                     recorder.progress(place.episodes)
                     train(parts, recipe.train, recorder, place)
                 facts = {"seed": recipe.seed, "system": type(recipe.system).__name__.lower()}
-                metrics = recorder.finish({**facts, "checkpoint": {"bytes": saver.bytes, "seconds": saver.seconds}})
+                written = {"bytes": checkpoints.bytes, "seconds": checkpoints.seconds}
+                metrics = recorder.finish({**facts, "checkpoint": written})
         (folder / "error.txt").unlink(missing_ok=True)  # of a process that was refused meanwhile
         if place.episodes == recipe.train.episodes:
             checkpoints.remove()
     return metrics
 
 
-@dataclass
-class _Saver:
-    """Saves the state of a run at the ends of its phases, every so many episodes; 0 saves nothing."""
-
-    checkpoints: Checkpoints
-    every: int
-    state: Callable[[], dict[str, Any]]
-    again: str
-    seconds: float = 0.0
-    bytes: int = 0
-
-    def summary(self, folder: Path) -> str:
-        """Return what is kept of a run that is stopped, and how it goes on."""
-        if (state := self.checkpoints.newest()) is None:
-            return f"nothing is kept in {folder} yet, the same command begins anew"
-        done = Place()
-        done.load_state_dict(state["place"])
-        near = folder.absolute()
-        near = near.relative_to(Path.cwd()) if near.is_relative_to(Path.cwd()) else folder
-        return (
-            f"the run is kept up to the end of {done.summary()}: go on with {self.again} resume={near} "
-            "(with finish=true, to evaluate and draw what it has learnt instead)"
-        )
-
-    def save(self, place: Place) -> None:
-        """Save the state, if it is due; what comes before the first episode is saved too."""
-        if self.every and place.episodes % self.every == 0:
-            start = time.perf_counter()
-            self.bytes = self.checkpoints.save(place.number, self.state()).stat().st_size
-            self.seconds += time.perf_counter() - start
+def _what_is_kept(checkpoints: Checkpoints, again: str) -> str:
+    """Return what is kept of a run that is stopped, and how it goes on."""
+    folder, done = checkpoints.folder.parent, Place()
+    if (state := checkpoints.newest()) is None:
+        return f"nothing is kept in {folder} yet, the same command begins anew"
+    done.load_state_dict(state["place"])
+    near = folder.absolute()
+    near = near.relative_to(Path.cwd()) if near.is_relative_to(Path.cwd()) else folder
+    return (
+        f"the run is kept up to the end of {done.summary()}: go on with {again} resume={near} "
+        "(with finish=true, to evaluate and draw what it has learnt instead)"
+    )
 
 
 def _restore(kept: Mapping[str, Any], state: Mapping[str, Any], folder: Path) -> None:
@@ -153,23 +137,22 @@ def _resume(folder: Path, commit: str | None) -> None:
 
 
 @contextmanager
-def _left_in_order(saver: _Saver, recorder: Recorder, present: Callable[[], str]) -> Iterator[None]:
+def _left_in_order(recorder: Recorder, place: Place, kept: Callable[[], str]) -> Iterator[None]:
     """Say what was kept of a run that is asked to stop, whose numbers go wrong, or that runs out of memory."""
-    folder = recorder.folder
     try:
         yield
     except KeyboardInterrupt as stop:
         recorder.write_tables()
-        raise Stopped(f"stopped; {saver.summary(folder)}", getattr(stop, "signal", 2)) from stop
+        raise Stopped(f"stopped; {kept()}", getattr(stop, "signal", 2)) from stop
     except Diverged as error:
         recorder.write_tables()
-        raise Diverged(f"in {present()}: {error}; {saver.summary(folder)}") from error
+        raise Diverged(f"in {place.present(recorder.episodes)}: {error}; {kept()}") from error
     except Exception as error:
         if not is_memory_error(error):
             raise
         wanted = memory_wanted(error)
-        where = f"in {present()}{wanted and f', where {wanted} more were wanted'}"
-        raise MemoryError(f"{where}; {saver.summary(folder)}") from error
+        where = f"in {place.present(recorder.episodes)}{wanted and f', where {wanted} more were wanted'}"
+        raise MemoryError(f"{where}; {kept()}") from error
 
 
 NIS = (

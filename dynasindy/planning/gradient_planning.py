@@ -11,15 +11,16 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from pydantic import Field, validate_call
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
 from dynasindy.agents import TD3, Actor, DynaReplay
 from dynasindy.envs import ControlEnv
-from dynasindy.limits import Count, check_memory
+from dynasindy.limits import Count, Positive, check_memory
 from dynasindy.planning.imagined_replay import Planned, Planner
 from dynasindy.planning.imitation import Imitation, hold, imagined_rewards, improve
 from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choose_plan_settings, find_task_equilibria
@@ -156,13 +157,15 @@ class GradientPlanning(Planner):
         seed: Seed of references, starts and variations.
 
     Raises:
-        ValueError: A number is out of range, or `warm_start` is asked for and the task tracks no reference.
+        ValueError: A number is out of range, `warm_start` is asked for and the task tracks no reference, or the
+            rollouts do not fit into memory.
     """
 
     # Departure: the paper's reward is quadratic with a bonus; its slope vanishes near zero and the bonus has none.
     # The imagined cost has the task's weights, is linear beyond `width`, and has no bonus; without a width it is the
     # task's own.
 
+    @validate_call(config={"arbitrary_types_allowed": True})
     def __init__(
         self,
         env: ControlEnv,
@@ -171,34 +174,25 @@ class GradientPlanning(Planner):
         *,
         updates: Count | None = None,
         more_updates: Count = 80,
-        rollouts: int = 128,
-        window: int | None = None,
-        lr: float | None = None,
-        width: float | None = 0.02,
-        substeps: Count | None = None,
-        check_every: int = 50,
-        patience: int | None = None,
+        rollouts: Count = 128,
+        window: Positive | None = None,
+        lr: Annotated[float, Field(gt=0)] | None = None,
+        width: Annotated[float, Field(gt=0)] | None = 0.02,
+        substeps: Positive | None = None,
+        check_every: Positive = 50,
+        patience: Positive | None = None,
         warm_start: bool | None = None,
-        gain_range: float | None = None,
+        gain_range: Annotated[float, Field(ge=0, lt=1)] | None = None,
         searches: Count = 16,
-        input_delay: float = 1.0,
+        input_delay: Annotated[float, Field(ge=0, le=1)] = 1.0,
         others: Sequence[System] = (),
-        every: int = 1,
+        every: Positive = 1,
         seed: int = 0,
     ) -> None:
         super().__init__(every)
         given = {"window": window, "lr": lr, "updates": updates, "patience": patience, "substeps": substeps}
         given |= {"warm_start": warm_start, "gain_range": gain_range}
         self.given: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-        positive = {"check_every": check_every, "width": width, "window": window, "lr": lr, "patience": patience}
-        positive |= {"substeps": substeps}
-        counts = {"rollouts": rollouts, "updates": updates, "more_updates": more_updates}
-        bad = [f"{key}={value}, not above 0" for key, value in positive.items() if value is not None and not value > 0]
-        bad += [f"{key}={value}, below 0" for key, value in counts.items() if value is not None and value < 0]
-        bad += [f"gain_range={gain_range}, not within [0, 1)"] * (not 0 <= (gain_range or 0) < 1)
-        bad += [f"input_delay={input_delay}, not within [0, 1]"] * (not 0 <= input_delay <= 1)
-        if bad:
-            raise ValueError(f"gradient planning got {', '.join(bad)}: mend planning")
         signature, window = env.system.signature, window or UNTOLD
         check_memory(
             8.0 * rollouts * window * signature.n_x * (signature.n_x + signature.n_u + 4),

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
+from pydantic import validate_call
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
@@ -19,7 +20,7 @@ from torchrl.envs import Transform
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.agents.replay import LEARN_KEYS
 from dynasindy.envs import ControlEnv
-from dynasindy.limits import check_memory
+from dynasindy.limits import Count, Positive, check_memory
 from dynasindy.planning.gate import Bound
 from dynasindy.progress import report_progress
 from dynasindy.sentences import setting
@@ -43,10 +44,7 @@ class Planner(ABC):
     """Dyna's planning phase: improve the policy with imagined experience.
 
     Args:
-        every: Episodes between two planning phases (paper: N).
-
-    Raises:
-        ValueError: `every` is not positive.
+        every: Episodes between two planning phases, at least one (paper: N).
     """
 
     learns_by_td3: bool = True
@@ -55,10 +53,6 @@ class Planner(ABC):
     """Mean error at the end of imagined episodes after the last phase [target ranges]; None where none is known."""
 
     def __init__(self, every: int = 1) -> None:
-        if every < 1:
-            raise ValueError(
-                f"{setting('planning.every')} must be at least 1 episode, got {every}; use planning=none for none"
-            )
         self.every = every
 
     def due(self, episode: int) -> bool:
@@ -103,9 +97,6 @@ class Imagination(Transform):
         policy: Policy that acts in it, reading `observation` and writing `action`.
         horizon: Length of a rollout [control periods].
         limit: Largest absolute value of each state, `(n_x,)`; any if None.
-
-    Raises:
-        ValueError: The horizon is not positive.
     """
 
     def __init__(
@@ -116,10 +107,6 @@ class Imagination(Transform):
         limit: Tensor | None = None,
     ) -> None:
         super().__init__(in_keys=[], out_keys=[])
-        if horizon < 1:
-            raise ValueError(
-                f"horizon must be at least 1 control period, got {horizon}; mend {setting('planning.horizon')}"
-            )
         # Held outside nn.Module's registry: the buffer must not own, save or move the environment and policy.
         self.__dict__.update(env=env, policy=policy)
         self.horizon = horizon
@@ -191,32 +178,26 @@ class ImaginedReplay(Planner):
         seed: Seed of the choice of start states.
 
     Raises:
-        ValueError: A number is out of range.
+        ValueError: A number is out of range, or the rollouts do not fit into memory.
     """
 
     # Departure: the paper adds imagined transitions to one buffer for good; here those of the newest `generations`
     # of the model are kept, since the models that made the others are gone.
 
+    @validate_call(config={"arbitrary_types_allowed": True})
     def __init__(
         self,
         env: ControlEnv,
         agent: TD3,
         replay: DynaReplay,
-        rollouts: int = 400,
-        horizon: int = 100,
-        every: int = 1,
-        generations: int | None = 5,
+        rollouts: Count = 400,
+        horizon: Positive = 100,
+        every: Positive = 1,
+        generations: Positive | None = 5,
         state_bound: Bound = 1.5,
         seed: int = 0,
     ) -> None:
         super().__init__(every)
-        if rollouts < 0 or (generations is not None and generations < 1):
-            raise ValueError(
-                f"planning needs rollouts >= 0 and generations >= 1 or null, got {rollouts} and {generations}; mend "
-                "planning"
-            )
-        if not state_bound > 0:
-            raise ValueError(f"{setting('planning.state_bound')} must be positive, got {state_bound}")
         self.agent, self.env, self.replay, self.rollouts, self.generations = agent, env, replay, rollouts, generations
         self.state_bound = state_bound
         self.made: list[int] = []
