@@ -64,12 +64,9 @@ class Level:
             errors: Error of the worse axis after each evaluation [rad].
             shares: Whether they are shares of the target range instead.
         """
-        held, most = 0, self.share if shares else self.error
-        for place, error in enumerate(errors):
-            held = held + 1 if error <= most else 0
-            if held == self.consecutive:
-                return place
-        return None
+        held = pd.Series(errors).le(self.share if shares else self.error).rolling(self.consecutive).sum()
+        reached = held.eq(self.consecutive)
+        return int(reached.argmax()) if reached.any() else None
 
 
 def gather(root: Path, results: Path, level: Level) -> pd.DataFrame:
@@ -195,8 +192,8 @@ def _summarise_run(curve: pd.DataFrame, level: Level) -> dict[str, float]:
     worst = curve[SHARE] if SHARE in curve else worst_errors(curve)
     place = level.reached(worst.tolist(), measure == SHARE)
     at = last * math.nan if place is None else curve.iloc[place]
+    errors = [name for name in curve if name.startswith(f"evaluated_{ERROR}/")]
     spent = ("real_steps", "updates", "imagined_transitions", "wall_seconds")
-    prefix = f"evaluated_{ERROR}/"
     return {
         "episodes": last["episode"],
         "episodes_to_level": at["episode"],
@@ -208,8 +205,7 @@ def _summarise_run(curve: pd.DataFrame, level: Level) -> dict[str, float]:
         "area_under_curve": curve["evaluated_return"].mean(),
         "final_return": last["evaluated_return"],
         measure: worst.iloc[-1],
-        **{name.removeprefix("evaluated_"): last[name] for name in curve if name.startswith(prefix)},
-        **{name: last[name] for name in spent},
+        **{name.removeprefix("evaluated_"): last[name] for name in (*errors, *spent)},
     }
 
 

@@ -189,12 +189,6 @@ class Evaluation:
         return (states.abs() >= ends).any(-1).any(-1)
 
     @property
-    def own_returns(self) -> Tensor | None:
-        """What a Gymnasium environment itself pays per episode, `(episodes,)`; None of other plants."""
-        paid = self.trajectory["next"].get("own_reward", None)
-        return None if paid is None else paid.sum((-1, -2))
-
-    @property
     def output_names(self) -> tuple[str, ...]:
         """Names of the tracked states."""
         return tuple(self.signature.state_names[i] for i in self.columns)

@@ -51,8 +51,8 @@ def summarise(evaluation: Evaluation) -> Summary:
         "return": _number(evaluation.returns.mean()),
         "stop_share": _number(evaluation.stop_share.mean()),
     }
-    if (own := evaluation.own_returns) is not None:
-        summary["own_return"] = _number(own.mean())
+    if (own := evaluation.trajectory["next"].get("own_reward", None)) is not None:
+        summary["own_return"] = _number(own.sum((-1, -2)).mean())
     for i, axis in enumerate(evaluation.output_names):
         for name in TRACKING:
             summary[f"{name}/{axis}"] = _number(evaluation.metrics[name][:, i].mean())

@@ -28,14 +28,13 @@ from dynasindy.viz.style import (
     RED,
     SKY,
     array,
-    input_axis,
+    draw_input,
     label,
     legend,
     panels,
     styled,
     symbol,
     time_axis,
-    zero_order_hold,
 )
 
 EDGE = 0.08
@@ -107,7 +106,7 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
     signature, outputs, far, dt = found.loop.signature, found.loop.task.outputs, found.farthest, found.steps.dt
     x, u, r = (torch.cat([getattr(found.steps, part)[[far]], getattr(found.drawn, part)]) for part in "xur")
     flights = replace(found.drawn, x=x, u=u, r=r)
-    y, inputs = array(x[..., outputs]), signature.in_own_units(array(u))
+    y, inputs = array(x[..., outputs]), array(u)
     targets, reach = array(found.targets[far]), array(found.reach)
     title = f"Farthest step, to {_in_words(found, found.targets[far])}"
     n_r, n_u = len(outputs), signature.n_u
@@ -130,8 +129,7 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
         axis.set_ylabel(label(signature.state_names[state], signature.state_units[state]))
     for i, axis in enumerate(axes[n_r:]):
         for row, look in zip(inputs, looks, strict=True):
-            axis.step(*zero_order_hold(seconds[:-1], row[:, i]), where="post", **{"linewidth": 1.0, **look})
-        input_axis(axis, signature, i)
+            draw_input(axis, seconds[:-1], row, signature, i, **{"linewidth": 1.0, **look})
     legend(axes[0], "above")
     time_axis(axes[-1], seconds)
     return figure

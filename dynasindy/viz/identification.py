@@ -19,7 +19,7 @@ from dynasindy.viz.style import (
     RED,
     Array,
     array,
-    input_axis,
+    draw_input,
     label,
     legend,
     panels,
@@ -93,14 +93,11 @@ def training_data(
     units = (*(signature.state_units[i] for i in seen), *("-",) * len(inputs))
     figure, axes, columns = _panels(names, units, title)
     moving = np.zeros((len(seconds), 0)) if u is None else array(u)
-    own = moving if u is None else signature.in_own_units(moving)
-    x, shown, held = (_broken(rows, segment) for rows in (seconds, values, own))
+    x, shown, held = (_broken(rows, segment) for rows in (seconds, values, moving))
     for axis, i in zip(axes, seen, strict=False):
         axis.plot(x, shown[:, i], color=BLUE)
     for i, axis in enumerate(axes[len(seen) : len(names)]):
-        # An input is held up to the end of its last period.
-        axis.step(np.append(x, time_span(seconds)[1]), np.append(held[:, i], held[-1:, i]), where="post", color=BLUE)
-        input_axis(axis, signature, i)
+        draw_input(axis, x, held, signature, i, color=BLUE)
     restarts = seconds[np.isnan(moving).any(-1)]  # not all, which is true of a row without inputs
     _mark(axes, restarts, color=RED, linestyle="--", linewidth=1.0, label="ended early, began anew")
     _finish(axes, columns, seconds, segment)

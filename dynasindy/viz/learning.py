@@ -34,18 +34,14 @@ OF_RANGE = "% of the target range"
 
 
 @styled
-def average_rewards(
-    curves: Curves,
-    episode: ArrayLike | None = None,
-    title: str = "Average rewards",
-) -> Figure:
+def average_rewards(curves: Curves, episode: ArrayLike, title: str = "Average rewards") -> Figure:
     """Draw interquartile mean and 95 % bootstrap band over seeds of the return, one line per setting.
 
     The axis is logarithmic, and linear within 10 of zero, if returns differ by more than a factor of `WIDE`.
 
     Args:
         curves: `(n_seeds, n_episodes)` return of each episode, per setting.
-        episode: `(n_episodes,)` numbers of the episodes, by default 1, 2, ...
+        episode: `(n_episodes,)` numbers of the episodes.
         title: of the figure.
     """
     figure, (axis,) = panels(1, 1, (8.5, 3.8), title)
@@ -110,14 +106,13 @@ def _draw_errors(curves: Curves, episode: ArrayLike, level: float, unit: str, ti
     return figure
 
 
-def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike | None = None) -> None:
+def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike) -> None:
     """Draw interquartile mean and 95 % bootstrap band over seeds into an axis, one line per setting.
 
     Where there are fewer than three seeds, each is a line of its own, and nothing is a band.
     """
     seeds = {name: np.atleast_2d(array(values)) for name, values in curves.items()}
-    last = max((rows.shape[1] for rows in seeds.values()), default=0)
-    episodes = np.arange(1.0, last + 1) if episode is None else array(episode)[:last]
+    episodes = array(episode)[: max((rows.shape[1] for rows in seeds.values()), default=0)]
     for (name, rows), line in zip(seeds.items(), line_styles(curves).values(), strict=True):
         x = episodes[: rows.shape[1]]
         words = name.replace("$", r"\$")  # names of settings are no mathematics

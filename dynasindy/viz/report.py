@@ -222,14 +222,6 @@ class Run:
     folder: Path
     settings: Mapping[str, Any]
 
-    def table(self, name: str) -> pd.DataFrame:
-        """Read one of its CSV files."""
-        return read_table(self.folder / name)
-
-    def record(self, name: str) -> dict[str, Any]:
-        """Read one of its JSON files."""
-        return read_json(self.folder / name)
-
     def setting(self, key: str) -> Any:
         """Return a setting by its dotted key, None where the run has none."""
         value: Any = self.settings
@@ -240,7 +232,7 @@ class Run:
     @property
     def source(self) -> str:
         """Folder, command and commit in words."""
-        origin = self.record("origin.json")
+        origin = read_json(self.folder / "origin.json")
         return f"Run `{_path(self.folder)}`, made by `{origin['command']}` at commit {origin['commit']}."
 
 
@@ -343,7 +335,7 @@ def _verdict(judged: Sequence[tuple[str, Judgement]]) -> Section:
 
 def _training(results: Results, plant: str, experiment: str) -> Made:
     run = results.run(plant, experiment)
-    table = run.table("data/excitation.csv")
+    table = read_table(run.folder / "data/excitation.csv")
     substeps = int(run.setting("env.substeps") or 1)
     samples, step = len(table) * substeps, (table["time"][1] - table["time"][0]) / substeps
     figure = training_data(table["time"], table[STATES], table[INPUTS], SIGNATURE, f"Training data of {plant}")
@@ -364,7 +356,7 @@ def _hyperparameters(results: Results, plant: str) -> Made:
 
 def _model_learning(results: Results, plant: str, experiment: str) -> Made:
     run = results.run(plant, experiment)
-    table = run.table("gate.csv")
+    table = read_table(run.folder / "gate.csv")
     opened = table["episode"][table["open"] == 1]
     below = float(run.setting("gate.open_below"))
     yield judge_learning(array(table["episode"]), array(table["reward_error"]), array(opened), below)
@@ -376,7 +368,7 @@ def _model_learning(results: Results, plant: str, experiment: str) -> Made:
 def _states(results: Results, plant: str, experiment: str, episode: str) -> Made:
     """Judge the open-loop prediction of the first or the last real episode, and draw it."""
     run = results.run(plant, experiment)
-    table = run.table(f"data/prediction_{episode}_episode.csv")
+    table = read_table(run.folder / f"data/prediction_{episode}_episode.csv")
     real, model = array(table[STATES]), array(table[[f"predicted_{name}" for name in STATES]])
     errors, when = _state_errors(real, model), "before" if episode == "first" else "after"
     title = f"Predicted and real states {when} learning: plant {plant}, experiment {experiment}"
@@ -389,7 +381,7 @@ def _states(results: Results, plant: str, experiment: str, episode: str) -> Made
         return
     yield judge_model("all six states are predicted closely", errors)
     # The excitation applied to the final model, as the paper does.
-    table = run.table("data/excitation.csv")
+    table = read_table(run.folder / "data/excitation.csv")
     x, u = (torch.tensor(array(table[names])) for names in (STATES, INPUTS))
     dt = float(table["time"][1] - table["time"][0])
     data = Transitions(x[:-1], u[:-1], x[1:], dt, torch.zeros(len(x) - 1, dtype=torch.int64))
@@ -406,7 +398,7 @@ def _state_errors(real: Array, model: Array) -> dict[str, float]:
 
 def _coefficients(results: Results, plant: str, experiment: str) -> Made:
     run, true = results.run(plant, experiment), published_coefficients()
-    model: Coefficients = run.record("model.json")["coefficients"]
+    model: Coefficients = read_json(run.folder / "model.json")["coefficients"]
     yield judge_coefficients(model, true)
     yield f"**Plant `{plant}`, `experiment={experiment}`**: as identified, the published coefficient in brackets."
     names = dict.fromkeys(name for row in (*true.values(), *model.values()) for name in row)
@@ -457,7 +449,7 @@ def _rewards(results: Results, plant: str, experiment: str) -> Made:
 def _steps(results: Results, plant: str, experiment: str) -> Made:
     runs = {words: results.run(plant, experiment, name) for name, words in SETTINGS.items()}
     _, figure = _draw_tracking(runs, "step", f"Step tracking: plant {plant}, experiment {experiment}")
-    scores = {words: run.record("metrics.json")["evaluation"] for words, run in runs.items()}
+    scores = {words: read_json(run.folder / "metrics.json")["evaluation"] for words, run in runs.items()}
     yield from judge_steps(scores)
     caption = f"A step on `{plant}`, after {runs[MANY].setting('train.episodes')} episodes."
     yield Picture(f"step_{plant}_{experiment}", figure, caption, [run.source for run in runs.values()])
@@ -477,7 +469,7 @@ def _draw_tracking(runs: Mapping[str, Run], scenario: str, title: str) -> tuple[
     """Return the trajectories that runs saved of a scenario, and their figure."""
     step = scenario == "step"
     file = "data/step_response.csv" if step else f"evaluation/{scenario}.csv"
-    tables = {words: run.table(file) for words, run in runs.items()}
+    tables = {words: read_table(run.folder / file) for words, run in runs.items()}
     held = {words: periods(table, INPUTS) if step else table for words, table in tables.items()}
     first, outputs = next(iter(tables)), {words: table[TRACKED] for words, table in tables.items()}
     inputs = {words: table[INPUTS] for words, table in held.items()} if step else None
@@ -488,7 +480,7 @@ def _gradient_run(results: Results, plant: str, scenario: str) -> Made:
     run = results.run(plant, "gradient")
     title = f"{scenario.capitalize()}, policy of the main job: plant {plant}"
     _, figure = _draw_tracking({controller_name("gradient"): run}, scenario, title)
-    seconds = run.record("metrics.json")["cost"]["plant_seconds"]
+    seconds = read_json(run.folder / "metrics.json")["cost"]["plant_seconds"]
     caption = f"The {scenario} on `{plant}` after {seconds:.0f} s of plant time."
     yield Picture(f"gradient_{scenario}_{plant}", figure, caption, [run.source])
 

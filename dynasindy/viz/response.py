@@ -28,7 +28,7 @@ from dynasindy.viz.style import (
     RED,
     Array,
     array,
-    input_axis,
+    draw_input,
     label,
     legend,
     panels,
@@ -37,7 +37,6 @@ from dynasindy.viz.style import (
     styled,
     time_axis,
     time_span,
-    zero_order_hold,
 )
 
 if TYPE_CHECKING:  # figures know a flight by its attributes alone
@@ -92,10 +91,7 @@ def tracking(
             _draw_settling(axis, seconds, float(target[0, i]), [float(array(y)[0, i]) for y in outputs.values()])
     for i, axis in enumerate(axes[len(names) :]):
         for (of, u), look in zip(inputs.items(), line_styles(inputs).values(), strict=True):
-            # Zero-order hold: the input is constant until the next sample, the last one until the end.
-            own = signature.in_own_units(array(u))[:, i]
-            axis.step(*zero_order_hold(seconds, own), where="post", linewidth=1.0, label=of, **look)
-        input_axis(axis, signature, i)
+            draw_input(axis, seconds, array(u), signature, i, linewidth=1.0, label=of, **look)
     legend(axes[0], "above")
     time_axis(axes[-1], time_span(seconds))
     return figure

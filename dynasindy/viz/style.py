@@ -136,14 +136,20 @@ def spell_names(text: str) -> str:
     return text.replace("^2", "²")
 
 
-def input_axis(axis: Axes, signature: Signature, place: int) -> None:
-    """Label the axis of an input and give it the range of its actuator, in the unit of this.
+def draw_input(axis: Axes, seconds: Array, u: Array, signature: Signature, place: int, **look: Any) -> None:
+    """Draw an input over time as it is held, up to the end of its last period, in the unit and range of its actuator.
 
     Args:
         axis: Where.
+        seconds: When periods begin, `(T,)` [s]; NaN where the line breaks.
+        u: Inputs, `(T, n_u)` in [-1, 1].
         signature: Tells the input's name, its unit and its range.
         place: Which input.
+        **look: Of the line, as matplotlib takes it.
     """
+    own = signature.in_own_units(u)[:, place]
+    end = time_span(seconds[np.isfinite(seconds)])[1]
+    axis.step(np.append(seconds, end), np.append(own, own[-1:]), where="post", **look)
     limits = signature.input_limits or ((-1.0, 1.0),) * signature.n_u
     low, high = signature.in_own_units(np.array(limits).T)[:, place]
     room = 0.04 * (high - low)
@@ -198,11 +204,6 @@ class _Scaled(MaxNLocator):
     def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
         """Return the places of the ticks between two values, in the unit of the data."""
         return [self.unit * tick for tick in super().tick_values(vmin / self.unit, vmax / self.unit)]
-
-
-def zero_order_hold(seconds: Array, values: Array) -> tuple[Array, Array]:
-    """Return times and values of an input that is held, its last sample up to the end of the run."""
-    return np.append(seconds, time_span(seconds)[1]), np.concatenate([values, values[-1:]])
 
 
 def legend(axis: Axes, place: Literal["above", "beside", "below"] = "beside") -> None:

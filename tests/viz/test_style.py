@@ -7,7 +7,7 @@ from matplotlib.mathtext import MathTextParser
 from dynasindy.systems import Signature
 from dynasindy.viz.style import (
     GREEK,
-    input_axis,
+    draw_input,
     label,
     panels,
     spell_names,
@@ -63,7 +63,8 @@ def parse_math(text: str) -> None:
 )
 def test_the_axis_of_an_input_has_the_range_and_the_unit_of_its_actuator(ends, limits, units, axis) -> None:
     _, (shown,) = panels(1)
-    input_axis(shown, Signature(("x",), ("m",), ("u_a", "u_b"), (1.0,), ends, limits, units), 1)
+    signature = Signature(("x",), ("m",), ("u_a", "u_b"), (1.0,), ends, limits, units)
+    draw_input(shown, np.arange(3.0), np.zeros((3, 2)), signature, 1)
     assert (*shown.get_ylim(), shown.get_ylabel()) == pytest.approx(axis)
 
 
