@@ -6,8 +6,6 @@ them is shown as it stands, and is neither HTML nor a link.
 
 from __future__ import annotations
 
-import io
-import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -37,7 +35,7 @@ from dynasindy.viz.identification import BEYOND, prediction, training_data
 from dynasindy.viz.learning import average_rewards
 from dynasindy.viz.response import tracking
 from dynasindy.viz.run import gate, periods, read_table
-from dynasindy.viz.style import STYLE, Array, array
+from dynasindy.viz.style import Array, array, save_figures
 
 WIDTH = 120
 SVG: dict[Any, Any] = {"svg.fonttype": "none", "path.simplify_threshold": 0.3}
@@ -136,17 +134,6 @@ class Picture:
     caption: str
     sources: Sequence[str] = ()
 
-    def svg(self) -> str:
-        """Return an SVG element on one line, without metadata, names of groups and digits below 0.1 pt."""
-        file = io.StringIO()
-        with matplotlib.rc_context({**STYLE, **SVG, "svg.hashsalt": self.name}):  # ids differ from other figures'
-            self.figure.savefig(file, format="svg", metadata={"Date": None})
-        element = file.getvalue()
-        element = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", element[element.index("<svg") :], flags=re.S)
-        element = re.sub(r'<g id="[^"]*"', "<g", element)
-        element = re.sub(r' (?:d|x|y)="[^"]+"', lambda outline: _round_digits(outline[0]), element)
-        return re.sub(r"\s*\n\s*", " ", element).strip()
-
 
 Part = str | TextTable | Picture
 
@@ -192,11 +179,6 @@ def render_markdown(sections: Mapping[str, Section]) -> str:
         show=lambda section: "\n\n".join(_markdown(part, sources) for part in section.content()),
         sources=sources,
     )
-
-
-def _round_digits(outline: str) -> str:
-    short = re.sub(r"\d+\.\d+", lambda number: f"{float(number[0]):.1f}".removesuffix(".0"), outline)
-    return re.sub(r"\s*([MLQCz])\s*", r"\1", short).replace(' "', '"')
 
 
 def _markdown(part: Part, sources: dict[str, int]) -> str:
@@ -278,13 +260,11 @@ def build(results: Results, folder: Path) -> list[Path]:
     Raises:
         DamagedFileError: A saved file is not what a section expects.
     """
-    sections = build_sections(results)
-    files = {folder / "report.md": render_markdown(sections)}
+    sections, page = build_sections(results), folder / "report.md"
+    write_text(page, render_markdown(sections))
     pictures = [part for section in sections.values() for part in section.parts if isinstance(part, Picture)]
-    files |= {folder / "figures" / f"{part.name}.svg": part.svg() + "\n" for part in pictures}
-    for file, text in files.items():
-        write_text(file, text)
-    return [*files]
+    with matplotlib.rc_context(SVG):
+        return [page, *save_figures({part.name: part.figure for part in pictures}, folder / "figures", ["svg"])]
 
 
 def build_sections(results: Results) -> dict[str, Section]:
