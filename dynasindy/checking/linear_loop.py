@@ -301,13 +301,8 @@ def noise_gain(linear: Linear) -> Array:
     """Return the standard deviation of each input per unit of white noise on each state's measurement, `(n_u, n_x)`.
 
     G = A' G A + c' c is the energy of an input after unit noise on z, so that e' G e + f^2 is its variance under unit
-    noise of a measurement. A state that is not measured has none.
-
-    Raises:
-        ValueError: The loop is not stable, and its inputs have no steady spread.
+    noise of a measurement. A state that is not measured has none, and a loop that is not stable no steady spread.
     """
-    if np.abs(np.linalg.eigvals(linear.a)).max() >= 1:
-        raise ValueError("the loop is not stable, so its inputs have no steady spread")
     # States in rpm beside states in rad: what is balanced solves without a loss of digits.
     a, scale = matrix_balance(linear.a, permute=False)
     units = np.diag(scale)

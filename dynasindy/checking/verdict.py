@@ -232,22 +232,18 @@ def _noise(found: Check, limits: Thresholds) -> Finding:
 
 
 def _steps(found: Check, limits: Thresholds) -> list[Finding]:
-    names, steps = found.loop.signature.input_names, found.steps
-    error, begin = largest_error(found, steps.steady_error, limits), found.beginning()
-    slew, saturated = steps.slew.nan_to_num(torch.inf).amax(0), steps.saturated.amax(0)
-    i, j = int(slew.argmax()), int(saturated.argmax())
-    moved: dict[str, Any] = {"input": names[i], "value": float(slew[i]), "limit": limits.slew}
-    full: dict[str, Any] = {
-        "input": names[j],
-        "value": float(saturated[j]),
-        "limit": limits.saturated,
-        "seconds": found.seconds,
-    }
-    return [
-        _judged("steady_error", error["share"] <= limits.error, begin=begin, **error),
-        _judged("slew", moved["value"] <= limits.slew, begin=begin, **moved),
-        _judged("saturation", full["value"] <= limits.saturated, begin=begin, **full),
-    ]
+    names, steps, begin = found.loop.signature.input_names, found.steps, found.beginning()
+    error = largest_error(found, steps.steady_error, limits)
+    findings = [_judged("steady_error", error["share"] <= limits.error, begin=begin, **error)]
+    for code, values, limit, more in (
+        ("slew", steps.slew.nan_to_num(torch.inf), limits.slew, {}),
+        ("saturation", steps.saturated, limits.saturated, {"seconds": found.seconds}),
+    ):
+        most = values.amax(0)
+        i = int(most.argmax())
+        facts = {"input": names[i], "value": float(most[i]), "limit": limit, **more}
+        findings.append(_judged(code, facts["value"] <= limit, begin=begin, **facts))
+    return findings
 
 
 def _coefficients(found: Check, limits: Thresholds) -> list[Finding]:
