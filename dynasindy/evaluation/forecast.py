@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -30,8 +29,6 @@ class Forecast:
         evaluation: The one on the first model that did not run away, for figures; None if all did.
         in_sample: Whether the model is the one that was planned on, which promises nothing of the plant.
         within: Mean absolute error at the end that is asked for, in target ranges.
-        errors: Mean absolute error of each model's whole flights, of the worst output, in target ranges; infinite of
-            one that ran away.
         doubts: Why the models, though they agree, are not to be relied on.
         no_equilibrium: Which targets no input holds in the model of the plan; empty if all are held.
         seconds: Length of the flights [s]; None where it is not known.
@@ -41,14 +38,13 @@ class Forecast:
     evaluation: Evaluation | None = None
     in_sample: bool = False
     within: float = WITHIN
-    errors: tuple[float, ...] = ()
     doubts: tuple[Finding, ...] = ()
     no_equilibrium: str = ""
     seconds: float | None = None
 
     def __repr__(self) -> str:
-        kept = f"promised={self.promised}, controlled={self.controlled}, score={self.score:.3g}"
-        return f"Forecast({kept}, {len(self.flights)} models; summary() says what they show)"
+        kept = f"promised={self.promised}, controlled={self.controlled}, {len(self.flights)} models"
+        return f"Forecast({kept}; summary() says what they show)"
 
     @property
     def controlled(self) -> bool:
@@ -60,11 +56,6 @@ class Forecast:
     def promised(self) -> bool:
         """Whether it is controlled on models that the plan never saw."""
         return not self.in_sample and self.controlled
-
-    @property
-    def score(self) -> float:
-        """The error of the worst model, ways to the targets included, by which settings compare."""
-        return max(self.errors, default=math.inf)
 
     @property
     def place(self) -> str:
@@ -142,9 +133,9 @@ class Forecast:
     def record(self) -> dict[str, Any]:
         """Return what `metrics.json` holds of it."""
         flights = [None if flight is None else asdict(flight) for flight in self.flights]
-        judged = {"promised": self.promised, "controlled": self.controlled, "within": self.within}
-        score = {"score": self.score if math.isfinite(self.score) else None, "sentence": self.summary()}
-        return {"models": len(flights), **judged, **score, "flights": flights, "findings": records(self.findings)}
+        judged: dict[str, Any] = {"promised": self.promised, "controlled": self.controlled, "within": self.within}
+        judged |= {"sentence": self.summary()}
+        return {"models": len(flights), **judged, "flights": flights, "findings": records(self.findings)}
 
 
 def predict(
@@ -168,7 +159,6 @@ def predict(
         within: Mean absolute error at the end that is asked for, in target ranges.
     """
     flights: list[TrackingCriteria | None] = []
-    errors: list[float] = []
     shown: Evaluation | None = None
     for k, model in enumerate(models):
         env = plan.with_system(model, torch.float64)
@@ -179,16 +169,12 @@ def predict(
             result = evaluate(env, policy, scenario, seen, f"flights on model {k + 1} of {len(models)}")
         if result is None or bool(result.lost.any()):
             flights.append(None)
-            errors.append(math.inf)
             continue
         shown = shown or result
         start = result.trajectory["state"][0, 0]
         matter, rerun = states_that_matter(model, result.columns, start), partial(evaluate, env, policy, scenario, seen)
         flights.append(judge_tracking(result, matter, rerun))
-        whole = result.errors.mean((0, 1))
-        errors.append(float(whole.amax()) if bool(whole.isfinite().all()) else math.inf)
-    seconds = scenario.length(plan)
-    return Forecast(tuple(flights), shown, within=within, errors=tuple(errors), seconds=seconds)
+    return Forecast(tuple(flights), shown, within=within, seconds=scenario.length(plan))
 
 
 def _number(share: float | None) -> float:

@@ -171,11 +171,6 @@ class Evaluation:
         return self.trajectory["next", "reward"].sum((-1, -2))
 
     @property
-    def stop_share(self) -> Tensor:
-        """Share of each run spent at a mechanical stop, `(episodes,)`."""
-        return self.trajectory["next", "at_stop"].float().mean((-1, -2))
-
-    @property
     def errors(self) -> Tensor:
         """Absolute errors, `(episodes, T, n_r)` float64 [target ranges]."""
         boxes = torch.tensor(self.boxes or (1.0,) * len(self.columns), dtype=torch.float64)

@@ -49,7 +49,7 @@ def summarise(evaluation: Evaluation) -> Summary:
     """
     summary: Summary = {
         "return": _number(evaluation.returns.mean()),
-        "stop_share": _number(evaluation.stop_share.mean()),
+        "stop_share": _number(evaluation.trajectory["next", "at_stop"].float().mean()),
     }
     if (own := evaluation.trajectory["next"].get("own_reward", None)) is not None:
         summary["own_return"] = _number(own.sum((-1, -2)).mean())

@@ -197,20 +197,3 @@ def test_what_has_to_come_to_rest_is_asked_where_a_flight_begins(monkeypatch):
         [plant], ControlEnv(plant, task), lambda td: td.set("action", torch.zeros(1, 1)), Scenario("step", seconds=1.0)
     )
     assert len(asked) == 1 and asked[0].tolist() == pytest.approx([-0.2, 0.0], abs=1e-6)
-
-
-def test_the_score_is_the_error_of_the_worst_model_over_whole_flights():
-    """A pendulum that nothing moves hangs still, so that the error is the mean distance of the targets from it."""
-    plant = Pendulum()
-    ends = {"low": [-0.6], "high": [0.6]}
-    task = Tracking(plant.signature, Step([[0.1], [-0.3]]), ("theta",), ("Omega",), TrackingReward((4.0,)), **ends)
-    env = ControlEnv(plant, task, dtype=torch.float64)
-
-    def idle(tensordict):
-        return tensordict.set("action", torch.zeros(*tensordict.batch_size, 1))
-
-    scenario = Scenario("step", episodes=2, seconds=1.0)
-    found = predict([plant, Exploding()], env, idle, scenario)
-    assert found.errors == (pytest.approx(0.2 / 1.2), float("inf"))
-    assert found.score == float("inf") and found.record()["score"] is None
-    assert predict([plant], env, idle, scenario).record()["score"] == pytest.approx(0.2 / 1.2)
