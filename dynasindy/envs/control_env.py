@@ -20,7 +20,7 @@ from dynasindy.systems import System, integrate, repeat_steps, simulate
 from dynasindy.systems.checks import rates, require_plant, shapes
 from dynasindy.systems.integrators import plain
 from dynasindy.systems.ranges import require_start_within
-from dynasindy.systems.steps import steps_of, time_step_of
+from dynasindy.systems.steps import split_delay, steps_of, time_step_of
 from dynasindy.tasks import Task, Tracking
 from dynasindy.tasks.machine import TrackingMachine, tracking_machine
 
@@ -158,12 +158,11 @@ class ControlEnv(EnvBase):
     def _advance_late(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Advance states under the commands that arrive; the input changes within a sample, or between two steps."""
         before, now = (self.past[k].to(x.dtype) for k in (0, 1))
-        part = self._lateness()[1]
+        first = split_delay(self.delay, self.dt)[1]
         if self.system.step is None:
-            old = [min(1.0, max(0.0, part * self.substeps - k)) for k in range(self.substeps)]
+            old = [min(1.0, max(0.0, first / self.log_dt - k)) for k in range(self.substeps)]
             pieces = [(self.log_dt, 1, (1 - share) * now + share * before) for share in old]
         else:
-            first = part * self.dt if part > 1e-6 else 0.0
             pieces = [(first, 1, before)] * bool(first) + [(self.dt - first, self.substeps, now)]
         samples, touched = [], []
         for seconds, count, u in pieces:
@@ -172,11 +171,6 @@ class ControlEnv(EnvBase):
             samples.append(moved)
             touched.append(hit)
         return torch.cat(samples, -2)[..., -self.substeps :, :], torch.stack(touched).any(0)
-
-    def _lateness(self) -> tuple[int, float]:
-        """Return by how many whole control periods inputs are late, and by which part of one."""
-        whole = int(self.delay / self.dt + 1e-6)
-        return whole, max(0.0, self.delay / self.dt - whole)
 
     def follow(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """Advance states by control periods that follow each other, as the steps of an episode do.
@@ -345,7 +339,7 @@ class ControlEnv(EnvBase):
 
     def _command(self, u: Tensor, begins: bool) -> None:
         """Send inputs `(*batch, n_u)` on their way, before which zeros are where episodes begin."""
-        count = self._lateness()[0] + 2
+        count = split_delay(self.delay, self.dt)[0] + 2
         if begins or len(self.past) != count:
             self.past.clear()
             self.past.extend([torch.zeros_like(u)] * count)

@@ -70,12 +70,10 @@ class Foreign(System):
             if not isinstance(space, spaces.Box) or len(space.shape) != 1:
                 raise ValueError(f"{id} has the {what} space {space}; a plant needs a Box of one dimension")
         assert isinstance(seen, spaces.Box) and isinstance(acted, spaces.Box)
-        if not (np.isfinite(acted.low).all() and np.isfinite(acted.high).all()):
-            raise ValueError(f"env.id={id} has actions without ends; give your environment's action_space finite ends")
-        if not (acted.low < acted.high).all():
+        if not (np.isfinite(acted.low).all() and np.isfinite(acted.high).all() and (acted.low < acted.high).all()):
             raise ValueError(
-                f"env.id={id} has an action_space whose low is its high, {acted.low.tolist()}, so nothing moves it; "
-                "give your environment's action_space a low below its high"
+                f"env.id={id} has actions from {acted.low.tolist()} to {acted.high.tolist()}; give your environment's "
+                "action_space finite ends, low below high"
             )
         n_seen, n_u = seen.shape[0], acted.shape[0]
         states = [f"x{i + 1}" for i in range(n_seen)] if states is None else states

@@ -12,7 +12,6 @@ from torch import Tensor
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.integrators import simulate
 from dynasindy.systems.transitions import Transitions
-from dynasindy.text import did_you_mean
 
 
 def transitions(rows: TensorDictBase, log_dt: float, among: Tensor | None = None) -> Transitions:
@@ -95,13 +94,11 @@ def disturb(
     """
     scale = data.x_next.std(0)
     if isinstance(level, Mapping):
-        names = signature.state_names if signature else ()
-        if absent := [name for name in level if name not in names]:
-            raise ValueError(
-                f"data.noise names '{absent[0]}', which is no state; the states are {', '.join(names)}: correct it"
-                f"{did_you_mean(absent[0], names)}"
-            )
-        scale, level = torch.tensor([level.get(name, 0.0) for name in names], dtype=torch.float64).to(scale), 1.0
+        assert signature is not None
+        scale = torch.zeros_like(scale)
+        for name, std in level.items():
+            scale[signature.state_index(name, "data.noise")] = std
+        level = 1.0
     scale = level * scale
     if level == 0 or not bool(scale.any()):
         return data

@@ -42,13 +42,14 @@ class Excitation(TensorDictModuleBase, ABC):
             periods until it is whole. Less than 1 also says that nobody knows whether the plant stays by itself.
 
     Raises:
-        ValueError: a time or the number of inputs is not positive.
-        ValueError: amplitudes or offsets are not one per input, or an input would always be clipped.
-        ValueError: `first` is not in (0, 1].
+        ValueError: a time or the number of inputs is not positive, amplitudes or offsets are not one per input, an
+            input would be clipped, or `first` is not in (0, 1].
     """
 
     in_keys = ["step_count"]  # noqa: RUF012 - the base class of TensorDict sets these per class
     out_keys = ["action"]  # noqa: RUF012
+    amplitude: Tensor
+    offset: Tensor
 
     def __init__(
         self,
@@ -62,28 +63,19 @@ class Excitation(TensorDictModuleBase, ABC):
     ) -> None:
         super().__init__()
         self.seed, duration = seed, 200 * dt if duration is None else duration
-        if n_u < 1 or not duration > 0 or not dt > 0:
+        if n_u < 1 or not 0 < dt <= duration:
             raise ValueError(
-                f"excitation got {n_u} inputs, duration {duration} s, dt {dt} s; "
-                "allowed are positive numbers: correct them"
-            )
-        if duration < dt:
-            raise ValueError(
-                f"excitation.duration is {duration:g} s and env.dt {dt:g} s; allowed is a duration of one control "
-                "period or more: lower env.dt, or excite for longer"
+                f"excitation.duration is {duration:g} s, env.dt {dt:g} s, for {n_u} inputs; allowed are a control "
+                "period above 0, a duration of one or more, and an input or more: excite for longer, or lower env.dt"
             )
         self.n_u, self.duration, self.dt = n_u, float(duration), float(dt)
         self._check_size(self.dt, 1)
         self.register_buffer("amplitude", _per_input(amplitude, n_u, "amplitude"))
-        if not bool(self.amplitude.any()):
-            raise ValueError(
-                "excitation.amplitude is 0; allowed is a half range above 0 of an input: without nothing moves"
-            )
         self.register_buffer("offset", _per_input(offset, n_u, "offset"))
-        if bool((self.offset.abs() + self.amplitude.abs() > 1 + 1e-6).any()):
+        if not bool(self.amplitude.any()) or bool((self.offset.abs() + self.amplitude.abs() > 1 + 1e-6).any()):
             raise ValueError(
                 f"excitation.amplitude is {self.amplitude.tolist()} about excitation.offset {self.offset.tolist()}; "
-                "allowed is what stays within [-1, 1]: lower the amplitude, or move the offset towards 0"
+                "allowed are a half range above 0 of an input, and what stays within [-1, 1]: correct either"
             )
         self.first = float(first)
         if not 0 < self.first <= 1:
@@ -91,9 +83,6 @@ class Excitation(TensorDictModuleBase, ABC):
                 f"excitation.first is {self.first:g}; allowed is a share of the amplitude above 0 and up to 1: give 1 "
                 "for the whole of it from the start"
             )
-
-    amplitude: Tensor
-    offset: Tensor
 
     @property
     def n_steps(self) -> int:
@@ -164,12 +153,10 @@ class Chirp(Excitation):
     ) -> None:
         super().__init__(n_u, duration, dt, **common)
         band = (0.0, 0.05 / dt) if band is None else band
-        if len(band) != 2 or min(band) < 0:
-            raise ValueError(f"chirp got the band {list(band)} Hz; allowed are two frequencies of 0 or more: from, to")
-        if max(band) > 0.5 / dt:
+        if len(band) != 2 or not 0 <= min(band) <= max(band) <= 0.5 / dt:
             raise ValueError(
-                f"excitation.band is {list(band)} Hz; allowed is up to half of the control rate, {0.5 / dt:g} Hz, "
-                "beyond which an input that is held for a period is another signal: lower it, or env.dt"
+                f"excitation.band is {list(band)} Hz; allowed are two frequencies, from 0 to half of the control rate, "
+                f"{0.5 / dt:g} Hz, beyond which an input that is held is another signal: lower them, or env.dt"
             )
         self.start = float(band[0])
         self.stop = torch.tensor([band[1] * (1.0 if i % 2 == 0 else 0.7) for i in range(n_u)], dtype=torch.float64)
@@ -247,12 +234,10 @@ class Aprbs(Excitation):
     ) -> None:
         super().__init__(n_u, duration, dt, **common)
         own, hold = hold, 10 * dt if hold is None else hold
-        if not hold > 0:
-            raise ValueError(f"excitation got hold {hold} s; allowed is a positive time: 0.5 s suits the twin rotor")
-        if own is not None and hold > self.duration:
+        if not hold > 0 or (own is not None and hold > self.duration):
             raise ValueError(
-                f"excitation.hold is {hold:g} s; allowed is up to the whole experiment, excitation.duration="
-                f"{self.duration:g} s: shorten it, for one level identifies nothing"
+                f"excitation.hold is {hold:g} s; allowed is a time above 0, up to the whole experiment, "
+                f"excitation.duration={self.duration:g} s: correct it, for one level identifies nothing"
             )
         self.hold = float(hold)
         self._check_size(self.hold, 1)
@@ -271,11 +256,8 @@ class Aprbs(Excitation):
 def _per_input(value: Levels, n_u: int, what: str) -> Tensor:
     """Give one number per input, `(n_u,)` float64."""
     values = torch.as_tensor(value if isinstance(value, float | int) else list(value), dtype=torch.float64).reshape(-1)
-    if values.numel() not in (1, n_u):
+    if values.numel() not in (1, n_u) or not bool(values.isfinite().all()):
         raise ValueError(
-            f"excitation got {values.numel()} values of {what}; allowed is one, or one for each of {n_u} inputs: "
-            "adjust the list"
+            f"excitation.{what} is {value}; allowed is a finite number, or one for each of {n_u} inputs: correct it"
         )
-    if not bool(values.isfinite().all()):
-        raise ValueError(f"excitation got {what} {values.tolist()}; allowed are finite numbers: correct them")
     return values.expand(n_u).clone()

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems import Signature
-from dynasindy.text import did_you_mean
 
 LONGEST = 10
 """Longest delay [control periods]."""
@@ -129,12 +128,9 @@ class Sensors:
         Args:
             std: Standard deviation of what is added, by name of a state [unit of the state]; none where not named.
         """
-        channels = {name: _channel(name, given) for name, given in (self.channels or {}).items()}
-        louder = {
-            name: replace(channel, noise=math.hypot(channel.noise, std.get(name, 0.0)))
-            for name, channel in channels.items()
-        }
-        return replace(self, channels=louder)
+        own = {name: _channel(name, given) for name, given in (self.channels or {}).items()}
+        noise = {name: math.hypot(channel.noise, std.get(name, 0.0)) for name, channel in own.items()}
+        return replace(self, channels={name: replace(own[name], noise=noise[name]) for name in own})
 
     def rate_indices(self, signature: Signature) -> dict[int, int]:
         """Return the index of a state to that of its rate."""
@@ -142,13 +138,8 @@ class Sensors:
         return {names.index(a): names.index(b) for a, b in (self.rates or {}).items() if a in names and b in names}
 
     def _places(self, signature: Signature) -> dict[int, Channel]:
-        channels = self.channels or {}
-        if absent := [name for name in channels if name not in signature.state_names]:
-            raise ValueError(
-                f"sensors.channels measures '{absent[0]}', which is no state; the states are "
-                f"{', '.join(signature.state_names)}{did_you_mean(absent[0], signature.state_names)}"
-            )
-        return {signature.state_index(name): _channel(name, given) for name, given in channels.items()}
+        given = (self.channels or {}).items()
+        return {signature.state_index(name, "sensors.channels"): _channel(name, each) for name, each in given}
 
 
 def _channel(name: str, given: object) -> Channel:

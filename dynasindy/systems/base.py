@@ -156,15 +156,19 @@ class Signature:
         low, high = np.array(self.input_ends or (WHOLE,) * self.n_u).T
         return 0.5 * (low + high) + 0.5 * (high - low) * np.asarray(u, dtype=np.float64)
 
-    def state_index(self, name: str) -> int:
+    def state_index(self, name: str, key: str = "a setting") -> int:
         """Return the position of a state in `x`.
+
+        Args:
+            name: Its name.
+            key: Setting that has it, for the error.
 
         Raises:
             ValueError: No state has that name.
         """
         if name not in self.state_names:
             hint = did_you_mean(name, self.state_names)
-            raise ValueError(f"state '{name}' does not exist; the states are {', '.join(self.state_names)}{hint}")
+            raise ValueError(f"{key} names '{name}', which is no state; they are {', '.join(self.state_names)}{hint}")
         return self.state_names.index(name)
 
 

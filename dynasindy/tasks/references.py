@@ -213,10 +213,6 @@ def wave(
     """
     ends = _ends(low, high)
     own: Signal = signal or {}
-    if stray := sorted(own.keys() - Signal.__annotations__.keys()):
-        raise ValueError(
-            f"plant.signals.{shape} has {', '.join(stray)}; allowed are {', '.join(Signal.__annotations__)}: correct it"
-        )
     if "frequency" not in own and not (dt and dt > 0 and max_steps > 0):
         raise ValueError(
             f"the period of a {shape} is the length of an episode, and task.max_steps is {max_steps}, env.dt {dt}; "

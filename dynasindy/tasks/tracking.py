@@ -18,7 +18,6 @@ from dynasindy.tasks import references
 from dynasindy.tasks.base import Task
 from dynasindy.tasks.references import N_PARAMS, Reference
 from dynasindy.tasks.reward import ERROR_SHAPES, TrackingReward
-from dynasindy.text import did_you_mean
 
 FENCE_WIDTH = 0.05
 """Way beyond a bound at which its cost turns from quadratic to linear [ranges of the state]."""
@@ -89,13 +88,6 @@ class Tracking(Task):
             )
         if not error_scale > 0:
             raise ValueError(f"error_scale must be positive, got {error_scale}; give it in ranges of the targets")
-        for key, names in (("outputs", outputs), ("rates", rates)):
-            allowed = (*signature.state_names, *([None] if key == "rates" else []))
-            if absent := [name for name in names if name not in allowed]:
-                raise ValueError(
-                    f"task.{key} names '{absent[0]}', which is no state; the states are "
-                    f"{', '.join(signature.state_names)}{did_you_mean(absent[0], signature.state_names)}"
-                )
         if len(set(outputs)) < len(outputs):
             raise ValueError(f"the task tracks an output twice: {', '.join(outputs)}; name each once in plant.outputs")
         if own := [name for name, rate in zip(outputs, rates, strict=False) if name == rate]:
@@ -104,9 +96,9 @@ class Tracking(Task):
             )
         self.begins = bool(start)
         self.output_names = tuple(outputs)
-        self.outputs = [signature.state_index(name) for name in outputs]
+        self.outputs = [signature.state_index(name, "task.outputs") for name in outputs]
         self.rated = [k for k, name in enumerate(rates) if name is not None]
-        self.rates = [signature.state_index(name) for name in rates if name is not None]
+        self.rates = [signature.state_index(name, "task.rates") for name in rates if name is not None]
         self.references = reference
         self.reward_function = reward
         self.observe_rate = observe_rate
