@@ -160,15 +160,12 @@ def _refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> 
     There is no fit where a stretch has fewer samples than functions.
     """
     late, places = delay_inputs(data, model.delay), torch.arange(len(data))
-    length, found = len(data) // stretches, []
-    library, coefficients, rows = model.library, model.coefficients, (model.coefficients != 0).any(-1)
-    used = model.constraints.free & (coefficients != 0)
-    given = torch.where(model.constraints.free, 0.0, model.constraints.offset)
-    if length < int(rows.sum()):
+    length, found, rows = len(data) // stretches, [], (model.coefficients != 0).any(-1)
+    library, coefficients = model.library.subset(rows.nonzero().flatten().tolist()), model.coefficients[rows]
+    used = model.constraints.free[rows] & (coefficients != 0)
+    given = torch.where(model.constraints.free, 0.0, model.constraints.offset)[rows]
+    if length < len(library):
         return []
-    if length < len(library):  # too few to fit those, too, that the model does not use
-        library = library.subset(rows.nonzero().flatten().tolist())
-        used, given, coefficients = used[rows], given[rows], coefficients[rows]
     for k in range(stretches):
         member = copy.deepcopy(model)
         member.library, member.coefficients = library, coefficients.clone()

@@ -10,13 +10,13 @@ from __future__ import annotations
 import hashlib
 import io
 import time
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from dynasindy.dyna.folder import load_tensors
 from dynasindy.limits import raise_if_memory
 from dynasindy.safe_io import remove_leftovers, replace_file
 
@@ -89,10 +89,7 @@ def _read(path: Path) -> State | None:
             payload = file.read()
         if b" ".join(mark) != MARK or len(payload) != int(length) or _digest(payload) != digest:
             return None
-        with zipfile.ZipFile(io.BytesIO(payload)) as archive:  # torch packs nothing, so that nothing can swell
-            if any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist()):
-                return None
-        state = torch.load(io.BytesIO(payload), weights_only=True, map_location="cpu")
+        state = load_tensors(payload)
     except OSError:  # the disk, which may be well again later: nothing is begun anew for that
         raise
     except Exception as error:  # any: what a file of others makes the reader do ends here

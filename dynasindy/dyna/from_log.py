@@ -15,7 +15,7 @@ from dynasindy.sentences import line, lines
 from dynasindy.sindy import SindyModel
 
 
-def model_of(source: Source | None, build: Callable[..., object], path: str | Path | None = None) -> SindyModel:
+def model_of(source: Source | None, build: Callable[..., SindyModel], path: str | Path | None = None) -> SindyModel:
     """Return the model of a file, or identify one and print what the fit says of itself.
 
     A model that is fitted here may have a state more than the log, which follows an input or a measured state.
@@ -35,8 +35,6 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
             source.with_states_of(model)  # refuses a model of another plant
         return model
     built = build(signature=source.signature)
-    if not isinstance(built, SindyModel):
-        raise TypeError(f"world_model is a {type(built).__name__}, which no log is fitted by; leave world_model=sindy")
     if before := before_fit(built, source):
         say(*lines(before))
     found = fit_log(built, source)

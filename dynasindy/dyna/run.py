@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +12,14 @@ from dynasindy.dyna import Stopped
 from dynasindy.dyna.callback import Place
 from dynasindy.dyna.checkpoint import Checkpoints
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.folder import check_settings, claimed, clear, result
+from dynasindy.dyna.folder import MADE, result
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.recorder import IDENTIFICATION, Evaluating, Recorder
 from dynasindy.evaluation.summary import to_text
 from dynasindy.findings import Finding, note
 from dynasindy.limits import is_memory_error, memory_wanted, raise_if_memory
 from dynasindy.progress import Progress, width
-from dynasindy.safe_io import read_json, refuse_links, write_json, write_text
+from dynasindy.safe_io import locked, read_json, refuse_links, remove_leftovers, write_json, write_text
 from dynasindy.sentences import check_summary, line
 from dynasindy.systems import Diverged
 from dynasindy.text import format_duration
@@ -66,9 +67,9 @@ def run(
             checkpoints.save(place.number, {name: part.state_dict() for name, part in kept.items()})
 
     recorder.place, recorder.save = place, _save
-    with claimed(folder):
+    with _claimed(folder):
         refuse_links(folder)
-        check_settings(folder, config)
+        _check_settings(folder, config)
         if (metrics := result(folder, recipe.train.episodes)) is not None:
             (folder / "error.txt").unlink(missing_ok=True)
             checkpoints.remove()  # of a process that was killed before it did
@@ -79,7 +80,7 @@ def run(
                 raise ValueError(f"{folder} keeps no checkpoint, there is nothing to finish; leave out finish=true")
             if state is None:
                 checkpoints.remove()  # damaged ones, whose numbers would rank before the new
-                clear(folder)
+                _clear(folder)
                 write_text(folder / "config.yaml", config)
                 write_json(folder / "origin.json", dict(origin))
                 recorder.begin()
@@ -97,6 +98,52 @@ def run(
         if place.episodes == recipe.train.episodes:
             checkpoints.remove()
     return metrics
+
+
+FREE = ("folder:", "threads:", "device:", "results:", "resume:", "finish:", "plugins:")
+"""Keys of a configuration, as its lines begin, that do not change a result."""
+
+
+@contextmanager
+def _claimed(folder: Path) -> Iterator[None]:
+    """Keep a run folder, which is made if missing, to oneself."""
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(locked(folder, wait=False))
+        except BlockingIOError:
+            raise ValueError(f"another process works in {folder}; wait for its end, or give another folder") from None
+        yield
+
+
+def _check_settings(folder: Path, settings: str) -> None:
+    """Make sure that a run folder is empty or holds a run of the same settings, as `config.yaml` holds them.
+
+    What does not change a result is ignored, and what is null, as it may be a setting that older runs had.
+    """
+    config = folder / "config.yaml"
+    if not config.is_file():
+        others = [file.name for file in folder.iterdir() if not file.name.startswith(".") and file.name not in MADE]
+        if others:
+            raise ValueError(f"{folder} holds other files, such as {min(others)}; give a new folder")
+        return
+    ours, theirs = (
+        [line for line in text.splitlines() if not line.startswith(FREE) and not line.endswith(": null")]
+        for text in (settings, config.read_text())
+    )
+    if ours != theirs:
+        differ = next((a or b for a, b in zip([*ours, ""], [*theirs, ""]) if a != b), "its length")
+        raise ValueError(
+            f"{folder} holds a run of other settings, such as '{differ.strip()}'; give another folder, or remove it"
+        )
+
+
+def _clear(folder: Path) -> None:
+    """Remove what an earlier run of the same settings left, so that no result outlives its run."""
+    for name in MADE:
+        (folder / name).unlink(missing_ok=True)
+    for place in (folder, folder / "data"):
+        remove_leftovers(place)
+    shutil.rmtree(folder / "scalars", ignore_errors=True)
 
 
 def _what_is_kept(checkpoints: Checkpoints, again: str) -> str:

@@ -156,9 +156,13 @@ def _imitate(
 ) -> None:
     """Train a policy to act as a law does, where the law leads and then where the policy itself leads."""
     (rounds, steps), seen, told = lessons, [], []
+
+    def _trembling(observation: Tensor) -> Tensor:  # the noise shows more of the plant
+        u = law(observation)
+        return env.task.limit(u + 0.1 * torch.randn(u.shape, generator=rng))
+
     for k in track("imitation of a regulator", range(rounds), rounds, "rounds"):
-        pilot: Network = network if k else _trembling(law, env.task.limit, rng)
-        seen.append(_visited(pilot, law, env, rng))
+        seen.append(_visited(network if k else _trembling, law, env, rng))
         told.append(law(seen[-1]))
         _lesson(network, torch.cat(seen), torch.cat(told), steps, rng)
 
@@ -192,16 +196,6 @@ def _rows(env: ControlEnv, x: Tensor, params: Tensor) -> Rows:
     signature, rows = env.system.signature, Rows.start(x, params, env.system.signature.n_u)
     rows.reach = torch.maximum(20.0 * torch.tensor(signature.x_scale), 4 * rows.x.abs().amax(0))
     return rows
-
-
-def _trembling(law: Law, limit: Callable[[Tensor], Tensor], rng: torch.Generator) -> Network:
-    """Return the law with noise on its inputs, which shows more of the plant."""
-
-    def _act(observation: Tensor) -> Tensor:
-        u = law(observation)
-        return limit(u + 0.1 * torch.randn(u.shape, generator=rng))
-
-    return _act
 
 
 STARTS, POPULATION, DRAWS = 128, 64, 8

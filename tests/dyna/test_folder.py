@@ -1,13 +1,12 @@
 import json
 import subprocess
 import sys
-import zipfile
 
 import pytest
 import torch
-from torch import nn
 
-from dynasindy.dyna.folder import check_settings, claimed, clear, read_weights, result
+from dynasindy.dyna.folder import result
+from dynasindy.dyna.run import _check_settings, _claimed, _clear
 
 
 def finished(folder, episodes=3):
@@ -37,50 +36,36 @@ def test_a_cut_file_is_no_result(tmp_path, name, size):
 
 def test_settings_are_the_same_whatever_does_not_change_a_result(tmp_path):
     (tmp_path / "config.yaml").write_text("a: 1\nfolder: here\nthreads: 1\nresume: null\n")
-    check_settings(tmp_path, "a: 1\nfolder: there\nthreads: 2\nresume: there\n")
-    check_settings(tmp_path, "a: 1\nb: null\n")  # a setting that the other one does not have, and that says nothing
+    _check_settings(tmp_path, "a: 1\nfolder: there\nthreads: 2\nresume: there\n")
+    _check_settings(tmp_path, "a: 1\nb: null\n")  # a setting that the other one does not have, and that says nothing
     with pytest.raises(ValueError, match="such"):
-        check_settings(tmp_path, "a: 2\nfolder: here\nthreads: 1\n")
+        _check_settings(tmp_path, "a: 2\nfolder: here\nthreads: 1\n")
     with pytest.raises(ValueError, match="such"):
-        check_settings(tmp_path, "a: 1\nb: 1\n")
+        _check_settings(tmp_path, "a: 1\nb: 1\n")
     with pytest.raises(ValueError, match="such"):
-        check_settings(tmp_path, "")
+        _check_settings(tmp_path, "")
 
 
 def test_only_what_a_run_makes_is_cleared(tmp_path):
     finished(tmp_path)
     (tmp_path / "scalars").mkdir()
     (tmp_path / "notes.txt").write_text("mine")
-    clear(tmp_path)
+    _clear(tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
 
 
 HOLD = (
-    "import sys; from pathlib import Path; from dynasindy.dyna.folder import claimed\n"
-    "with claimed(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
+    "import sys; from pathlib import Path; from dynasindy.dyna.run import _claimed\n"
+    "with _claimed(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
 )
 
 
 def test_two_processes_cannot_work_in_one_folder(tmp_path):
     other = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert other.stdout.readline() == b"held\n"
-    with pytest.raises(ValueError, match="works"), claimed(tmp_path):
+    with pytest.raises(ValueError, match="works"), _claimed(tmp_path):
         pass
     other.kill()  # a claim does not outlive its process, however that ends
     other.wait()
-    with claimed(tmp_path):
+    with _claimed(tmp_path):
         pass
-
-
-@pytest.mark.parametrize("more", [0, 1])
-def test_a_file_may_unpack_to_eight_times_the_weights_and_a_megabyte_and_to_no_more(tmp_path, more):
-    file, network = tmp_path / "policy.pt", nn.Linear(300, 200)
-    torch.save(network.state_dict(), file)
-    with zipfile.ZipFile(file, "a") as archive:
-        held = sum(entry.file_size for entry in archive.infolist())
-        archive.writestr("policy/padding", bytes(8 * 4 * (300 * 200 + 200) + 1_000_000 - held + more))
-    if more:
-        with pytest.raises(ValueError, match="unpacks"):
-            read_weights(file, network.state_dict())
-    else:
-        assert read_weights(file, network.state_dict()).keys() == {"weight", "bias"}
