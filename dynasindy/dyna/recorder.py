@@ -205,7 +205,7 @@ class Recorder(Callback):
             "units": final.units,
             "ranges": dict(zip(final.units, final.boxes, strict=False)),
             "steady_seconds": final.steady_seconds,
-            "planning": self.parts.planner.summary(),
+            "planning": self.parts.planner.settings(),
             "imagined_error": self.parts.planner.imagined_error,
             "reward": plant.task.summary(),
             "untrained": self.untrained,

@@ -221,7 +221,8 @@ def run_report(metrics: dict[str, Any], folder: Path) -> str:
     untrained = metrics["untrained"]["return"]
     title = f"Policy on the plant, scenario '{metrics['scenario']}' (untrained return {untrained:.1f})"
     steady, nis = metrics.get("steady_seconds", 5.0), (metrics.get("observer") or {}).get("nis")
-    of_plant = (metrics.get("planning") or "").partition(": ")[2]  # settings, which stand before that, are in the file
+    planned = metrics.get("planning")
+    of_plant = planned.get("why") if isinstance(planned, dict) else ""  # earlier versions had a sentence there
     lines.append(to_text(metrics["evaluation"], title, metrics.get("units"), steady, width()))
     lines += [
         "",

@@ -278,9 +278,9 @@ class GradientPlanning(Planner):
         self.imagined_error = None if rests is None else self.steady_state_error()
         return Planned(sum(part.imagined for part in parts), sum(part.updates for part in parts))
 
-    def summary(self) -> str:
-        """Return the settings of the latest phase and why they are so, in one line."""
-        return f"{self.pace}" if self.phase and self.rollouts else ""
+    def settings(self) -> dict[str, Any]:
+        """Return the settings of the latest phase and why they are so."""
+        return asdict(self.pace) if self.phase and self.rollouts else {}
 
     def state_dict(self) -> dict[str, Any]:
         """Return the phases so far and the generator; episodes and optimiser begin anew in each phase."""

@@ -66,9 +66,9 @@ class Planner(ABC):
     def distrust(self) -> None:  # noqa: B027 - most planners keep nothing
         """Drop what came from a model that is no longer trusted."""
 
-    def summary(self) -> str:
-        """Return in one line which settings it chose itself; nothing for most planners."""
-        return ""
+    def settings(self) -> dict[str, Any]:
+        """Return which settings it chose itself, and `why`; none for most planners."""
+        return {}
 
     def state_dict(self) -> dict[str, Any]:
         """Return what a resumed run needs between two planning phases, apart from agent, model and storages.

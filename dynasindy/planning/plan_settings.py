@@ -81,15 +81,6 @@ class PlanSettings:
     afar: bool = False
     gain_range: float = MARGIN
 
-    def __str__(self) -> str:
-        """Return the settings in one line."""
-        law = "ways from afar, found by search" if self.afar else "a regulator"
-        begun = f"begun as {law}, " if self.warm_start else ""
-        return (
-            f"{begun}window {self.window} periods, lr {self.lr:g}, {self.updates} updates, patience {self.patience}, "
-            f"{self.substeps} step{'s' * (self.substeps > 1)} a period: {self.why}"
-        )
-
 
 def find_task_equilibria(env: ControlEnv) -> Equilibria | None:
     """Return the rests of a model over the references of its task; None of a task that tracks none."""

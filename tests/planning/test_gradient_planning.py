@@ -232,7 +232,7 @@ def test_a_resumed_plan_says_what_the_plan_before_it_chose(setting, small):
     first, second = (GradientPlanning(env, agent, replay, updates=2, **small) for _ in range(2))
     first.plan()
     second.load_state_dict(first.state_dict())
-    assert second.summary() == first.summary() != ""
+    assert second.settings() == first.settings() != {}
 
 
 class Spring(System):

@@ -1,7 +1,6 @@
 """Which settings follow from which plant."""
 
 import math
-import re
 
 import pytest
 import torch
@@ -173,12 +172,3 @@ def test_the_rest_tells_how_long_outputs_take_to_settle_where_other_places_are_s
     periods = math.ceil(math.log(0.01) / -math.log(1 + 0.05**2 * p))
     places = torch.tensor([[2.0]] * 3), torch.zeros(3, 1)
     assert _settles(ControlEnv(plant, task, 0.05, 1), *places, 0.01) == pytest.approx(0.05 * periods)
-
-
-def test_settings_tell_their_numbers_and_what_a_policy_begins_as():
-    """The numbers in their order: window, rate, updates, patience and steps."""
-    told = str(PlanSettings(31, 0.004, 250, 7, 2))
-    assert re.findall(r"[\d.]+", told) == ["31", "0.004", "250", "7", "2"] and "regulator" not in told
-    begun = {afar: str(PlanSettings(warm_start=True, afar=afar)) for afar in (False, True)}
-    assert ["regulator" in begun[afar] for afar in (False, True)] == [True, False]
-    assert ["search" in begun[afar] for afar in (False, True)] == [False, True]
