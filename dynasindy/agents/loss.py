@@ -129,10 +129,6 @@ class GradientSteps:
     def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam) -> None:
         self.loss, self.optimizers = loss, (critics, actor)
 
-    def stands(self) -> bool:
-        """Return whether the steps still fit what they were made of."""
-        return True
-
     def critics(self, batch: TensorDictBase, check: Check) -> tuple[Tensor, Tensor]:
         """Take a step of the critics; return their loss and their mean value.
 

@@ -84,16 +84,7 @@ class _MachineSteps(GradientSteps):
         self._critic_weights = _weights(critics, loss.critic_layers, gradients[1])
         moments = [state[name] for each in (critics, actor) for state in each.state.values() for name in state]
         self._held = networks, moments  # what the code points to is kept alive
-        self._listed = self._now()
         self._room = torch.empty(0)
-
-    def stands(self) -> bool:
-        """Return whether no tensor has been replaced since the steps were made."""
-        return all(one is other for one, other in zip(self._now(), self._listed, strict=True))
-
-    def _now(self) -> list[object]:
-        """Return the lists and dictionaries of the tensors; others take their place when tensors are replaced."""
-        return [self.loss.actor_layers, self.loss.critic_layers, *(each.state for each in self.optimizers)]
 
     def critics(self, batch: TensorDictBase, check: Check) -> tuple[Tensor, Tensor]:
         """Take a step of the critics, see `GradientSteps`."""

@@ -235,6 +235,7 @@ class TD3:
         self.updates = 0
         self.actor_loss = torch.zeros((), device=device)
         self._made: GradientSteps | None = None
+        self._read: list[object] = []
 
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Take one step of TD3 on a batch of transitions (Fujimoto 2018, Algorithm 1).
@@ -291,7 +292,6 @@ class TD3:
         self.deployed.load_state_dict(state["deployed"])
         self.loss.generator.set_state(state["generator"])
         self.updates, self.actor_loss = state["updates"], state["actor_loss"].to(self._device)
-        self._made = None  # the optimisers have other tensors now
 
     _parts = ("loss", "noise", "target_updater", "actor_optimizer", "critic_optimizer")
 
@@ -300,9 +300,11 @@ class TD3:
 
     @property
     def _steps(self) -> GradientSteps:
-        if self._made is None or not self._made.stands():
-            optimizers = self.critic_optimizer, self.actor_optimizer
-            self._made = best_steps(self.loss, *optimizers, self.settings.machine_code)
+        optimizers = self.critic_optimizer, self.actor_optimizer
+        # Where tensors have been replaced, other lists and dictionaries hold them.
+        now = [self.loss.actor_layers, self.loss.critic_layers, *(each.state for each in optimizers)]
+        if self._made is None or any(one is not other for one, other in zip(now, self._read, strict=True)):
+            self._made, self._read = best_steps(self.loss, *optimizers, self.settings.machine_code), now
         return self._made
 
     def _require_finite(self, loss: Tensor, what: str) -> None:

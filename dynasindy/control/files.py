@@ -189,7 +189,8 @@ def _setup(signature: Signature, given: Mapping[str, Any]) -> ControlSetup:
         low=low or None,
         high=high or None,
     )
-    task = task.with_input_limits(given.get("input_limits", task.input_limits.tolist()))
+    limits = given.get("input_limits", task.input_limits.tolist())
+    task = task.with_input_limits([[_number(end) for end in row] for row in limits])
     task = task.with_box([_positive(extent) for extent in given["box"]])
     return ControlSetup(task, _positive(given["dt"]), substeps, _stops(given["stops"], signature.n_x))
 

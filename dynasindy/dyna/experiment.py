@@ -70,7 +70,8 @@ class Recipe:
         plant = self.env(system=self.system, task=self.task(signature=signature), seed=seeds[0])
         plant.check_plant()
         world_model = self.world_model(signature=signature)
-        model_env = plant.with_model(world_model, torch.float32, seed=seeds[1])
+        model_env = plant.with_system(world_model, torch.float32, seed=seeds[1])
+        model_env.delay = 0.0  # in imagined episodes inputs act at once
         device = device_of(self.device)
         there = {} if device.type == "cpu" else {"device": device}
         agent = self.agent(n_obs=plant.task.n_o, n_u=signature.n_u, seed=seeds[2], **there)

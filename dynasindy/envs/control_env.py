@@ -127,12 +127,6 @@ class ControlEnv(EnvBase):
         env.left_beyond, env.past = self.left_beyond, self.past  # the same flight goes on
         return env
 
-    def with_model(self, model: System, dtype: torch.dtype | None = None, seed: int = 0) -> ControlEnv:
-        """Return an environment around a model of its plant, in which episodes are imagined and inputs act at once."""
-        env = self.with_system(model, dtype, seed)
-        env.delay = 0.0
-        return env
-
     def with_task(self, task: Task, seed: int = 0) -> ControlEnv:
         """Return this environment with another task for the same system."""
         substeps, delay = self.substeps, self.delay

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -94,7 +93,6 @@ class Tracking(Task):
             raise ValueError(
                 f"task.rates names '{own[0]}' as its own rate; name the state that is it: mend plant.rates"
             )
-        self.begins = bool(start)
         self.output_names = tuple(outputs)
         self.outputs = [signature.state_index(name, "task.outputs") for name in outputs]
         self.rated = [k for k, name in enumerate(rates) if name is not None]
@@ -167,17 +165,15 @@ class Tracking(Task):
         """Return the same task with another target range, whose extents are taken as they are.
 
         Args:
-            extents: Extent of the target range, per output [units of the outputs].
+            extents: Extent of the target range, positive, per output [units of the outputs].
 
         Raises:
-            ValueError: An extent is missing, or is no positive number.
+            ValueError: The number of outputs differs.
         """
-        if len(extents) != self.n_r or not all(0 < extent < math.inf for extent in extents):
-            raise ValueError(
-                f"a target range of extents {list(extents)} does not fit the outputs {', '.join(self.output_names)}; "
-                "give one positive number for each"
-            )
-        return self._changed(_extents=tuple(map(float, extents)))
+        if len(extents) != self.n_r:
+            names = ", ".join(self.output_names)
+            raise ValueError(f"a target range of extents {list(extents)} does not fit {names}; give one for each")
+        return self._changed(_extents=tuple(extents))
 
     def following(self, followers: Mapping[int, int]) -> Tracking:
         """Return the same task in which states that follow other ones begin at these, as at rest.
@@ -214,7 +210,7 @@ class Tracking(Task):
             if (reach := max(-low, high)) > 0:
                 scales[i] = min(scales[i], 3 * reach)
         signature, start = replace(self.signature, x_scale=tuple(scales)), typical.to(self.start)
-        return self._changed(input_limits=within, signature=signature, start=self.start if self.begins else start)
+        return self._changed(input_limits=within, signature=signature, start=self.start if self._given else start)
 
     def with_input_limits(self, limits: Sequence[Sequence[float]]) -> Tracking:
         """Return the same task whose inputs stay within some limits.
@@ -226,12 +222,8 @@ class Tracking(Task):
             ValueError: There is not one least and one largest input for each, in [-1, 1].
         """
         n_u = self.signature.n_u
-        try:
-            ends = torch.tensor(limits)
-            fit = ends.shape == (2, n_u) and bool((ends.abs() <= 1).all() and (ends[0] <= ends[1]).all())
-        except (TypeError, ValueError):  # rows of unequal length, or words
-            fit = False
-        if not fit:
+        ends = torch.tensor(limits)
+        if ends.shape != (2, n_u) or not bool((ends.abs() <= 1).all() and (ends[0] <= ends[1]).all()):
             raise ValueError(
                 f"the limits of the inputs are {str(limits)[:40]}; give {n_u} least and {n_u} largest inputs from -1 "
                 "to 1"

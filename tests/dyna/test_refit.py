@@ -219,7 +219,7 @@ def test_a_refit_at_the_cost_of_the_newest_episode_equals_one_to_all_data():
 def test_a_refit_that_is_taken_back_leaves_its_data_to_the_next(monkeypatch):
     parts = built()
     model = SindyModel(Xi().signature)
-    parts = replace(parts, world_model=model, model_env=parts.plant.with_model(model, torch.float32))
+    parts = replace(parts, world_model=model, model_env=parts.plant.with_system(model, torch.float32))
     excited = interact(parts.env, parts.agent.explore, 80)
     parts.replay.extend_real(excited)
     first_fit(parts, excited)

@@ -42,9 +42,8 @@ def test_each_sample_is_where_the_late_inputs_have_brought_the_plant(periods):
     np.testing.assert_allclose(seen, truth, atol=2e-3 if periods == 2.5 else 1e-5)
 
 
-def test_a_model_of_the_plant_has_no_delay_and_another_task_has_the_same():
+def test_another_plant_and_another_task_have_the_same_delay():
     env = late(0.1)
-    assert env.with_model(Pendulum()).delay == 0.0
     assert env.with_task(env.task).delay == env.with_system(Pendulum()).delay == 0.1
     with pytest.raises(ValueError, match="more"):
         late(-0.1)
