@@ -273,8 +273,9 @@ def test_volts_stay_volts_from_a_log_without_rates_to_a_controller(tmp_path, wri
     controller = dynasindy.plan(model, {"angle": (-0.5, 0.5)}, log, **SHORT)
     assert model.signature.input_ends == controller.signature.input_ends == ((0.0, 12.0),)
     alone = dynasindy.read(path, inputs=["motor"])
-    assert f"read(inputs={alone.ends})" in repr(alone)
-    again = dynasindy.read(path, inputs=alone.ends)
+    (ends,) = [each.values["inputs"] for each in alone.findings if each.code == "log.guessed_ends"]
+    assert f"read(inputs={ends})" in repr(alone)
+    again = dynasindy.read(path, inputs=ends)
     assert again.signature.input_ends[0] == pytest.approx(alone.signature.input_ends[0], rel=1e-5)
 
 

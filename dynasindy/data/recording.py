@@ -51,13 +51,11 @@ class Recording:
         transitions: the samples, in unbroken segments; NaN where a state was not measured.
         signature: names, units and ranges.
         findings: what was skipped, masked, resampled, converted or reconstructed.
-        ends: column map of the inputs with the ends of their actuators, where these are guessed from the file.
     """
 
     transitions: Transitions
     signature: Signature
     findings: tuple[Finding, ...] = ()
-    ends: Mapping[str, Any] | None = None
 
     def __repr__(self) -> str:
         """Say in a line or two what it holds."""
@@ -178,7 +176,7 @@ class LogReader:
         dt = _one_period(parts, self.dt)
         findings += _conversions(states)
         u = np.concatenate([part.u for part in parts])
-        ranges, ends = _actuator_ranges(str(self), u, inputs, plant is None, findings)
+        ranges = _actuator_ranges(str(self), u, inputs, plant is None, findings)
         rest, unit = np.array([(each.rest, each.unit) for each in ranges]).T
         pieces, sizes = [], np.zeros(len(states))
         for part in parts:
@@ -204,7 +202,7 @@ class LogReader:
         require_consistent_rates(data, signature, self.known_rates([*states]), states, str(self))
         if plant is not None:
             signature = _of_plant(signature, plant, data.x.isnan().all(0).tolist())
-        return Recording(data, signature, (*findings, *left_out), ends)
+        return Recording(data, signature, (*findings, *left_out))
 
     def _columns(self, plant: Signature | None, findings: list[Finding]) -> _Roles:
         """Return the heading of the time, states and inputs: those that were given, of the plant, or else inferred."""
@@ -601,11 +599,8 @@ def _is_valid(column: Column) -> bool:
 
 def _actuator_ranges(
     path: str, u: Array, inputs: Mapping[str, Column], guess: bool, findings: list[Finding]
-) -> tuple[list[ActuatorScaling], dict[str, Any] | None]:
-    """Return the range of each input `(N, n_u)`, as it was given or, if asked, as the log shows it; findings are added.
-
-    Beside it stands the column map that gives these ends, None where nobody has to say whether they are right.
-    """
+) -> list[ActuatorScaling]:
+    """Return the range of each input `(N, n_u)`, as it was given or, if asked, as the log shows it; add findings."""
     found, one_sided, extents = dict[str, ActuatorScaling](), dict[str, ActuatorScaling](), dict[str, Any]()
     for (name, given), values in zip(inputs.items(), u.T, strict=True):
         least, most = float(values.min()), float(values.max())
@@ -638,9 +633,9 @@ def _actuator_ranges(
         if reach != PLAIN:
             scale = {"rest": reach.rest, "one": reach.rest + reach.unit, "low": reach.low, "high": reach.high}
             findings.append(note("log.scaled", input=name, unit=inputs[name].unit, **scale))
-    if guessed := any(reach != PLAIN and inputs[name].low is None for name, reach in found.items()):
+    if any(reach != PLAIN and inputs[name].low is None for name, reach in found.items()):
         findings.append(note("log.guessed_ends", inputs=ranges))
-    return list(found.values()), ranges if one_sided or guessed else None
+    return list(found.values())
 
 
 def _guess_range(low: float, high: float) -> ActuatorScaling:

@@ -183,8 +183,8 @@ def identify(
             `auto_rig` is quadratic polynomials and sines of states in rad, or for angles in rad and their rates in
             rad/s the functions of mechanics, and dry friction of every rate.
         known: Equations that are known, such as `{"angle": "rate"}`: the state's rate is that function. A rate that
-            the log does not have is estimated with the model. If omitted, the fit may add rates, as `angle_rate`, where
-            it predicts better with them; `{}` adds none.
+            the log does not have is estimated with the model. The fit may add others, as `angle_rate`, where it
+            predicts better with them; of `{}` it adds none.
         method: How the fit is refined; `auto` chooses by the noise of the data.
         longest_delay: Longest delay of the inputs that is looked for [s]; None where the data are to tell.
         time: `continuous` identifies differential equations, `discrete` difference equations whose step is the sampling
@@ -211,7 +211,7 @@ def identify(
     before = tuple(check_rates(source.training, source.signature, rates))
     for each in before:
         warnings.warn(str(each), stacklevel=2)
-    found = fit_log(model, source, known is None)
+    found = fit_log(model, source)
     found.model.findings = (*before, *found.report.findings, *found.content)
     return found.model
 

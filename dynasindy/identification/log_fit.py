@@ -134,17 +134,16 @@ class LogFit:
         return [*found, *idle_states(self.model, self.source.training)]
 
 
-def fit_log(model: SindyModel, source: Source, rates: bool = True) -> LogFit:
+def fit_log(model: SindyModel, source: Source) -> LogFit:
     """Fit a model to data; of a log the one of many candidates that predicts best what their fits have not seen.
 
     Candidates are tried where the refinement of the model is left to the data (`auto`). Where its library is one that
     suits any plant, rates, hidden states and more functions are candidates, too. Of any other refinement rates alone
-    are, where nobody said what is known.
+    are, where nobody said what is known. A model with `known={}` gets none.
 
     Args:
         model: what to fit.
         source: the data.
-        rates: whether rates may be added that nobody named; a model with `known={}` gets none.
 
     Raises:
         ValueError: the model refuses the data.
@@ -154,10 +153,9 @@ def fit_log(model: SindyModel, source: Source, rates: bool = True) -> LogFit:
     report_progress("fit")
     settings = model.refinement
     free = settings is not None and settings.method == "auto" and settings.error is None
-    rates &= model.given_known is None or len(model.given_known) > 0
     searched = settings is not None and source.logged and model.step is None and (free or model.given_known is None)
     if settings is not None and searched and (folds := HoldOut.folds(source.training)):
-        search = _Search(model, settings, source, folds, rates)
+        search = _Search(model, settings, source, folds)
         if free and (found := search.run()) is not None:
             return replace(found, report=replace(found.report, seconds=time.perf_counter() - began))
         model, source = (model, source) if free else search.with_rates()
@@ -321,7 +319,6 @@ class _Search:
     refinement: Refinement
     source: Source
     folds: list[HoldOut]
-    rates: bool
     tried: list[Candidate] = field(default_factory=list)
     began: float = field(default_factory=time.process_time)
     lag_seconds: float = 0.0
@@ -379,13 +376,11 @@ class _Search:
 
     def with_rates(self) -> tuple[SindyModel, Source]:
         """Return the model and the data with rates that nobody measured, if linear equations predict better by them."""
-        structures = [*self._structures()]
-        wide, given = structures[0], structures[-1]
+        wide, *_, given = (*self._structures(), (self.given, self.source))
         for structure in (wide, given) if wide[1] is not self.source else ():
             with _attempt():
                 self._linear(*structure)
-        rates = bool(self.tried) and self.best.source is not self.source
-        return wide if rates else given
+        return wide if self.tried and self.best.source is not self.source else given
 
     def _exact(self) -> bool:
         return all(map(HoldOut.exact, self.folds, self.best.errors))
@@ -498,7 +493,7 @@ class _Search:
 
     def _structures(self) -> Iterator[tuple[SindyModel, Source]]:
         """Yield the model with rates of all states, of angles and ways, of what was measured as such, and as it is."""
-        if self.builder is None or not self.rates:
+        if self.builder is None or self.given.given_known == {}:
             yield self.given, self.source
             return
         signature, known = self.given.signature, rates_of(self.given)

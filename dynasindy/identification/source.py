@@ -7,7 +7,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -50,7 +50,6 @@ class Source:
         validation: transitions that the fit does not see; there may be none.
         findings: what was decided when they were read.
         logged: whether they are a log, so that nothing is known of the plant but what was measured.
-        ends: column map of the inputs with the ends of their actuators, where these are guessed from a log.
     """
 
     signature: Signature
@@ -58,7 +57,6 @@ class Source:
     validation: Transitions
     findings: tuple[Finding, ...] = ()
     logged: bool = False
-    ends: Mapping[str, Any] | None = None
 
     @classmethod
     def of(cls, log: Recording, share: float = VALIDATION_SHARE) -> Source:
@@ -75,7 +73,7 @@ class Source:
             raise ValueError(f"validation_share is {share}; allowed is 0 to below 1, such as {VALIDATION_SHARE}")
         data = log.transitions
         early = torch.arange(len(data)) < int(len(data) * (1 - share))
-        return cls(log.signature, data.select(early), data.select(~early), log.findings, True, log.ends)
+        return cls(log.signature, data.select(early), data.select(~early), log.findings, True)
 
     @property
     def whole(self) -> Transitions:

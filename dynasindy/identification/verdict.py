@@ -14,7 +14,6 @@ from dynasindy.identification.forecast_errors import LOST, ForecastErrors
 from dynasindy.identification.recording_diagnostics import samples_of, sensor_resolution
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.library import Factor, Feature
-from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -322,19 +321,6 @@ def _is_dry(feature: Feature, rate: str, size: float) -> bool:
     )
 
 
-def hidden_states(model: SindyModel, data: Transitions) -> list[str]:
-    """Return the states that no sensor sees in any form: no rates of measured states, and none that only follow.
-
-    Args:
-        model: The model.
-        data: The log, NaN where a state was not measured.
-    """
-    rates, unseen = rate_states(model.library, model.constraints), data.x.isnan().all(0).tolist()
-    names = model.signature.state_names
-    alone = [i for i, blind in enumerate(unseen) if blind and (i not in rates or unseen[rates[i]])]
-    return [names[i] for i in alone if names[i] not in model.followed]
-
-
 def idle_states(model: SindyModel, data: Transitions) -> list[Finding]:
     """Return which hidden states stand in no equation, and an example of a first guess of their equations.
 
@@ -344,7 +330,8 @@ def idle_states(model: SindyModel, data: Transitions) -> list[Finding]:
     """
     names, inputs = model.signature.state_names, model.signature.input_names
     read = {name for f in _used(model.library.features, model.coefficients.any(-1)) for name in f.variables}
-    still = [n for n in hidden_states(model, data) if n not in read and not model.coefficients[:, names.index(n)].any()]
+    idle = data.x.isnan().all(0) & ~model.coefficients.any(0)
+    still = [n for n, each in zip(names, idle.tolist(), strict=True) if each and n not in read]
     if not still:
         return []
     seen = next((name for name, blind in zip(names, data.x.isnan().all(0).tolist(), strict=True) if not blind), "")

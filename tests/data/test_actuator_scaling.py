@@ -90,12 +90,12 @@ def test_a_log_alone_tells_the_range_that_an_input_used(tmp_path, low, high, res
     assert rest + one * found.transitions.u[:, 0].numpy() == pytest.approx(values[:-1])
     limits = (found.signature.input_limits or ((-1, 1),))[0]
     assert [rest + one * limit for limit in limits] == pytest.approx(reach)
-    given = found.ends
+    given = found.findings[2].values["inputs"]
     assert found.findings[2] == note("log.guessed_ends", inputs=given)
     # An actuator that rests at zero reaches zero, whether the log has tried it or not.
     assert (given["valve"]["low"], given["valve"]["high"]) == (min(*reach, rest), max(*reach, rest))
     again = LoggedData(path, inputs=given).recording(None)
-    assert again.signature.input_ends == found.signature.input_ends and again.ends is None
+    assert again.signature.input_ends == found.signature.input_ends
     assert torch.equal(again.transitions.u, found.transitions.u)
 
 
@@ -104,8 +104,8 @@ def test_an_input_within_one_that_never_leaves_one_side_is_asked_about(tmp_path,
     path = written(tmp_path / "log.csv", levels(low, high), "valve")
     found = LoggedData(path, inputs=["valve"]).recording(None)
     assert found.signature.input_ends == () == found.signature.input_limits
-    assert found.ends == {"valve": {"name": "valve", "low": ends[0], "high": ends[1]}}
-    assert found.findings[1:] == (note("log.one_sided", input="valve", least=low, most=high, inputs=found.ends),)
+    named = {"valve": {"name": "valve", "low": ends[0], "high": ends[1]}}
+    assert found.findings[1:] == (note("log.one_sided", input="valve", least=low, most=high, inputs=named),)
 
 
 @pytest.mark.parametrize(("most", "small"), [(0.04, True), (0.06, False)])
