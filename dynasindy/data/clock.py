@@ -247,19 +247,6 @@ def _has_digits(value: float, digits: int) -> bool:
     return abs(float(f"{value:.{digits - 1}e}") / value - 1) < 1e-4
 
 
-def unwrap_overflow(values: Array) -> Array:
-    """Return whole numbers that go on where a counter overflowed once or more.
-
-    Args:
-        values: Numbers without gaps, `(rows,)`.
-    """
-    drops = np.diff(values) < 0
-    if not drops.any() or (values % 1).any():
-        return values
-    size = next((size for size in OVERFLOWS if np.ptp(values) < size), np.inf)
-    return values + size * np.append(0, drops.cumsum()) if np.ptp(values) > 0.9 * size else values
-
-
 def _unwrap_counter(values: Array, table: Table, unit: float, dt: float | None) -> tuple[Array, list[Finding]]:
     """Return times that go on where a counter overflowed, or where a recording begins anew, and what was found."""
     steps = np.diff(values)

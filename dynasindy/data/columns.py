@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.data.clock import CLOCK, clock_of, date_unit, is_counter, unwrap_overflow
+from dynasindy.data.clock import CLOCK, OVERFLOWS, clock_of, date_unit, is_counter
 from dynasindy.data.headings import (
     PLAIN_RATES,
     SECONDS,
@@ -192,38 +193,36 @@ def infer(
         timed = not any(grows(column) for name, column in moves.items() if name not in named)
     numeric = {name: columns[name] for name, kind in kinds.items() if kind not in ("words", "dates", "empty")}
     why = {name: kind for name, kind in kinds.items() if kind != "moving" and not (name in named and name in numeric)}
-    for name in (name for name in numeric if name not in named and REFERENCE.fullmatch(name)):
-        if not (INPUT.fullmatch(name) or COMMAND.fullmatch(name)):
-            why.setdefault(name, "reference")
-    if inputs is None:
-        found = [name for name in numeric if name not in why and INPUT.fullmatch(name)]
-        found = found or [name for name in numeric if name not in why and COMMAND.fullmatch(name)]
-        found = [name for name in found if name[0].islower()] or found  # U_left beside u may be anything
-    else:
-        found = _chosen(numeric, inputs, path, "data.inputs")
+
+    def leave(reason: str, out: Iterable[str]) -> None:
+        why.update({name: reason for name in out if name not in named and name not in why})
 
     def left() -> dict[str, Array]:
         return {name: column for name, column in moves.items() if name not in why and name not in found}
 
-    why |= {name: "label" for name, column in left().items() if name not in named and _is_label(column)}
+    commands = [[name for name in numeric if called.fullmatch(name)] for called in (INPUT, COMMAND)]
+    leave("reference", (n for n in numeric if REFERENCE.fullmatch(n) and n not in chain(*commands)))
+    if inputs is None:
+        found = next(filter(None, ([name for name in some if name not in why] for some in commands)), [])
+        found = [name for name in found if name[0].islower()] or found  # U_left beside u may be anything
+    else:
+        found = _chosen(numeric, inputs, path, "data.inputs")
+    leave("label", [name for name, column in left().items() if _is_label(column)])
     rest = left()
-    followed = {n for n in rest if n not in named and _is_followed(rest[n], [rest[m] for m in rest if m != n])}
+    followed = [n for n in rest if n not in named and _is_followed(rest[n], [rest[m] for m in rest if m != n])]
     guessed = not found and inputs is None and timed
     if guessed:
         steps = _stepping(rest) or _stepping({n: column for n, column in rest.items() if n not in followed})
         found = [name for name in steps if name not in named]
-    led = [name for name in rest if name in followed and name not in found]
-    why |= dict.fromkeys(led, "followed")
-    two = (n for n, column in left().items() if n not in named and _is_label(column, rarely=False))
-    why |= dict.fromkeys([*two], "label")
-    basis = [moves[name] for name, reason in why.items() if reason in ("reference", "followed") and name in moves]
-    why |= {name: "derived" for name in _derived(left(), basis) if name not in named}
-    driven = [
-        name
-        for name in left()
-        if name not in named and _acts_at_once(moves[name], [moves[n] for n in found if n in moves])
-    ]
-    why |= dict.fromkeys(driven if len(driven) < len(left()) else [], "direct")
+    led = [name for name in followed if name not in found]
+    leave("followed", led)
+    leave("label", [name for name, column in left().items() if _is_label(column, rarely=False)])
+    leave(
+        "derived",
+        _derived(left(), [moves[n] for n, reason in why.items() if reason in ("reference", "followed") and n in moves]),
+    )
+    driven = [name for name, column in left().items() if _acts_at_once(column, [moves[n] for n in found if n in moves])]
+    leave("direct", driven if len(driven) < len(left()) else ())
     if states is None:
         chosen = [name for name in numeric if name not in why and name not in found]
     else:
@@ -368,7 +367,8 @@ def _is_regular(column: Array) -> bool:
 def keeps_time(column: Array, t: Array) -> bool:
     """Tell whether a column grows as a time does, on a straight line or in even ticks of more than a row."""
     rows = np.isfinite(column) & np.isfinite(t)
-    x, t = unwrap_overflow(column[rows]), t[rows]
+    x, t = column[rows], t[rows]
+    x = np.unwrap(x, period=next((size for size in OVERFLOWS if np.ptp(x) < size), np.ptp(x) + 1))
     steps = np.diff(x)
     if len(t) < COUNTED or not (steps >= 0).all() or not grows(t):
         return False

@@ -56,21 +56,22 @@ def model_findings(forecasts: ForecastErrors, signature: Signature) -> list[Find
         return [short, *runs_away(forecasts, signature), *better]
     if any(each.severity == "wrong" for each in better):
         return [*better, weak("model.incomplete", seconds=forecasts.horizons[forecasts.middle])]
-    reach = _reach(forecasts)
-    exact = [signature.state_names[i] for i in _fine(forecasts, _seen(forecasts, signature), reach)]
-    return [*better, note("model.predicts", seconds=forecasts.horizons[reach], exact=exact)]
+    enough = _predicted(forecasts).all(1).tolist()
+    reach = next((k - 1 for k in range(forecasts.middle + 1, len(enough)) if not enough[k]), len(enough) - 1)
+    exact = (forecasts.model <= RESOLVED * forecasts.resolution)[reach] & ~forecasts.held[reach].isnan()
+    names = _names(signature, exact)
+    return [*better, note("model.predicts", seconds=forecasts.horizons[reach], exact=names)]
 
 
-def _enough(forecasts: ForecastErrors) -> list[bool]:
-    """Tell over which horizons all states are predicted."""
+def _predicted(forecasts: ForecastErrors) -> Tensor:
+    """Tell over which horizons a state is predicted, or was not measured, bool `(H, n_x)`."""
     fine = (forecasts.model <= HELPFUL * forecasts.held) | (forecasts.model <= RESOLVED * forecasts.resolution)
-    return (fine | forecasts.held.isnan()).all(1).tolist()
+    return fine | forecasts.held.isnan()
 
 
-def _reach(forecasts: ForecastErrors) -> int:
-    """Return the place of the longest horizon, from the middle one on, up to which all states are predicted."""
-    enough = _enough(forecasts)
-    return next((k - 1 for k in range(forecasts.middle + 1, len(enough)) if not enough[k]), len(enough) - 1)
+def _names(signature: Signature, where: Tensor) -> list[str]:
+    """Return the names of states, `(n_x,)`."""
+    return [name for name, true in zip(signature.state_names, where.tolist(), strict=True) if true]
 
 
 def runs_away(forecasts: ForecastErrors, signature: Signature) -> list[Finding]:
@@ -83,10 +84,9 @@ def runs_away(forecasts: ForecastErrors, signature: Signature) -> list[Finding]:
     most = LOST * torch.tensor(signature.x_scale, dtype=forecasts.model.dtype)
     most = torch.maximum(most, forecasts.held)
     ours, simple = ((kind > most).any(0) for kind in (forecasts.model, forecasts.linear))
-    falls = [name for name, lost in zip(signature.state_names, (ours & simple).tolist(), strict=True) if lost]
-    if not falls:
+    if not (falls := _names(signature, ours & simple)):
         return []
-    enough = _enough(forecasts)
+    enough = _predicted(forecasts).all(1).tolist()
     reached = enough.index(False) if False in enough else len(enough)
     return [weak("model.unstable_plant", states=falls, seconds=forecasts.horizons[reached - 1] if reached else 0.0)]
 
@@ -249,28 +249,17 @@ def shortcoming(forecasts: ForecastErrors, signature: Signature, seconds: float 
         seconds: The time, of which the horizon next to it counts [s]; if omitted, that in which the slowest state
             changes.
     """
-    k, seen = forecasts.middle if seconds is None else forecasts.nearest(seconds), _seen(forecasts, signature)
-    ours, held, names, ahead = forecasts.model[k], forecasts.held[k], signature.state_names, forecasts.horizons[k]
-    if lost := [names[i] for i in seen if not math.isfinite(float(ours[i]))]:
+    k = forecasts.middle if seconds is None else forecasts.nearest(seconds)
+    ours, held, ahead = forecasts.model[k], forecasts.held[k], forecasts.horizons[k]
+    if lost := _names(signature, ~(ours.isfinite() | held.isnan())):
         return wrong("model.runs_away", seconds=ahead, states=lost)
-    fine = _fine(forecasts, seen, k)
-    poor = [i for i in seen if i not in fine and not float(ours[i]) <= HELPFUL * float(held[i])]
-    if not poor:
+    if not (poor := _names(signature, ~_predicted(forecasts)[k])):
         return None
-    errors, last = ({names[i]: float(kind[i]) for i in poor} for kind in (ours, held))
-    units = {names[i]: signature.state_units[i] for i in poor}
+    errors, last, units = (
+        {name: values[signature.state_index(name)] for name in poor}
+        for values in (ours.tolist(), held.tolist(), signature.state_units)
+    )
     return wrong("model.misses", seconds=ahead, errors=errors, held=last, units=units)
-
-
-def _seen(forecasts: ForecastErrors, signature: Signature) -> list[int]:
-    """Return the states that were measured."""
-    return [i for i in range(signature.n_x) if not math.isnan(float(forecasts.held[forecasts.middle, i]))]
-
-
-def _fine(forecasts: ForecastErrors, seen: Sequence[int], k: int) -> list[int]:
-    """Return the states that are predicted as well as a sensor can tell, over a horizon."""
-    ours = forecasts.model[k]
-    return [i for i in seen if float(ours[i]) <= RESOLVED * float(forecasts.resolution[i])]
 
 
 def recording_findings(data: Transitions, signature: Signature) -> list[Finding]:
