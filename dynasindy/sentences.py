@@ -140,7 +140,7 @@ def _named_unit(column: str, unit: str) -> str:
 LEFT_OUT = {
     "constant": "never changing",
     "counter": "growing evenly, as a counter or a second clock does",
-    "words": "words (write OPEN and CLOSED as 1 and 0)",
+    "words": "words (write UP and DOWN as 1 and 0)",
     "empty": "empty",
     "dates": "dates beside the time",
     "reference": "references by name",
@@ -580,7 +580,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "log.column_without_numbers": "the column {column} holds no number: log what it should hold, or leave it out; rows "
     "without a time are even where <data.dt> is given",
-    "log.worded_input": "the input {column} holds words, such as {text!r}: write numbers, 1 and 0 for OPEN and CLOSED",
+    "log.worded_input": "the input {column} holds words, such as {text!r}: write numbers, as 1 and 0 for UP and DOWN",
     "log.absent_column": lambda key, column, path, columns: (
         f"<{key}> names '{column}'; {path} has "
         f"{', '.join(columns)}: name columns of the file{did_you_mean(column, columns)}"

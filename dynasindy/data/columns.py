@@ -368,9 +368,11 @@ def keeps_time(column: Array, t: Array) -> bool:
     """Tell whether a column grows as a time does, on a straight line or in even ticks of more than a row."""
     rows = np.isfinite(column) & np.isfinite(t)
     x, t = column[rows], t[rows]
-    x = np.unwrap(x, period=next((size for size in OVERFLOWS if np.ptp(x) < size), np.ptp(x) + 1))
+    if len(t) < COUNTED or not grows(t):
+        return False
+    x = np.unwrap(x, period=next((size for size in OVERFLOWS if np.ptp(x) < size), np.inf))
     steps = np.diff(x)
-    if len(t) < COUNTED or not (steps >= 0).all() or not grows(t):
+    if not (steps >= 0).all():
         return False
     off = np.abs(x - x[0] - np.ptp(x) / (t[-1] - t[0]) * (t - t[0])).max()
     ticks = steps.max() if (steps > 0).sum() >= 3 else 0.0

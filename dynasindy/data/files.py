@@ -42,8 +42,6 @@ LOST = frozenset(("nan", "-nan", "n/a", "#n/a", "na", "<na>", "null", "none", "#
 """Words for a value that was not measured."""
 UNIT_LABEL = re.compile(r"(?i)unit|einheit")
 """How a line of units is labelled, which may then stand anywhere above."""
-SWITCHED = ["ON", "OFF", "On", "Off", "on", "off", "YES", "NO", "Yes", "No", "yes", "no"]
-"""Words for 1 and 0, in turn."""
 Raw = tuple[pd.DataFrame, list[Finding]]
 
 
@@ -124,8 +122,6 @@ def _read_text(path: Path, file: TextIO) -> Raw:
             skip_blank_lines=False,
             skipinitialspace=True,
             low_memory=False,
-            true_values=SWITCHED[::2],
-            false_values=SWITCHED[1::2],
         )
     except pd.errors.EmptyDataError:
         frame = pd.DataFrame(columns=range(width), dtype=float)
@@ -229,19 +225,23 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     decimal = "," if separator != "," and any(re.search(r"\d,\d", lines[k]) for k in filled[first:]) else "."
     pointed = [text for row in rows[first:] for text in row if "." in text and _is_value(text.replace(".", ""))]
     thousands = "." if decimal == "," and pointed and all(map(THOUSANDS.fullmatch, pointed)) else None
-    numbered = rows[0] == [str(k) for k in range(common)]  # a program that knows no names wrote their places
+    index = not rows[0][0]
+    numbered = rows[0][index:] == [str(k) for k in range(common - index)]  # of a program that knows no names
     if not first or (first == 1 and numbered):
         filled, rows = filled[numbered:], rows[numbered:]
         width = max(map(len, rows))
         count = width - all(len(row) < width or not row[-1] for row in rows)  # with a trailing separator
-        names = ("time", *(f"x{k}" for k in range(1, count - 1)), "u")[:count]
+        index &= numbered
+        names = [""] * index + ["time", *(f"x{k}" for k in range(1, count - 1 - index)), "u"][: count - index]
         return _Layout(separator, decimal, thousands, names, width, filled[0], [note("log.no_headings", names=names)])
     split = separator == BLANKS
     head = [WORD.findall(lines[k]) if split and len(row) > common else row for k, row in zip(filled, rows[:first])]
     differ = [k for k, row in enumerate(head) if _differ(row, common) and not (k and _are_units(row, head[k - 1]))]
     place = differ[-1] if differ and (differ[-1] or _differ(head[0], common)) else first - 1
     headings = head[place]  # a line such as `Smp, Smp, Smp` is none of headings
-    labelled = (["", *row[1:], *[""] * (len(headings) - len(row))] for row in head if row and UNIT_LABEL.search(row[0]))
+    labels = [bool(row and UNIT_LABEL.search(row[0])) for row in head]
+    head = [["", *row[1:], *[""] * (len(headings) - len(row))] if label else row for label, row in zip(labels, head)]
+    labelled = (row for label, row in zip(labels, head) if label)
     others = (*reversed(head[place + 1 :]), *head[:place][-1:], *labelled)
     units: Sequence[str] = next((row for row in others if _are_units(row, headings)), [])
     if units:

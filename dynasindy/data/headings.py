@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
+from operator import itemgetter
 
-from dynasindy.systems.base import TURNS
+from dynasindy.systems.base import TURNS, UNIT
 
 SECONDS = {
     unit: seconds
@@ -51,7 +52,7 @@ PER_MINUTE = re.compile(r"rpm|(?:rev|r|u)/min", re.IGNORECASE)
 """Turns per minute, which are `rpm`; of what is no rate of an angle they stay, as of a fan."""
 APART = re.compile(r"\s*(?:[,/_{<-]|\bin\b|(?<=[a-z])(?=[A-Z]))\s*")
 """What may stand between a name and its unit where the unit has no brackets, as in `angle / deg` and `angleDeg`."""
-RATE_NAMES = ("{}_rate", "{}_dot", "{}dot", "d{}", "d_{}", "{}_vel", "{}_velocity", "{}_speed")
+RATE_NAMES = ("{}_rate", "{}_dot", "{}dot", "d{}", "d_{}", "der_{}", "{}_vel", "{}_velocity", "{}_speed")
 """How the rate of a state is called."""
 PLAIN_RATES = ("rate", "velocity", "speed")
 """What a rate is called that may be that of any state, where no unit says so."""
@@ -70,8 +71,8 @@ def plain_heading(heading: str) -> str:
     """
     heading = " ".join(heading.split())
     own = name, unit = split_unit(heading)
-    if unit.isdigit() or unit[:1] in ("'", '"'):
-        name, unit = heading, ""
+    if unit.isdigit() or not UNIT.fullmatch(_plain_unit(unit)):  # a place, or a serial number behind `h, m`
+        name, unit = next(filter(itemgetter(1), [_apart(name)]), (heading, ""))
     if not unit and (found := re.fullmatch(r"(.*?\w)(?:\s+in)?\s*(\u00b0[CF]?|%)", name)):  # no letters of a name
         name, unit = found.groups()
     name, unit = (name, _plain_unit(unit)) if unit else _apart(name)
@@ -107,7 +108,8 @@ def _apart(name: str) -> tuple[str, str]:
 
 def plain_headings(headings: Sequence[str]) -> list[str]:
     """Return headings with plain names, but where two of these would be the same."""
-    plain = [plain_heading(heading) for heading in headings]
+    own = {*headings}  # of which `der(angle)` is none in the unit `angle`
+    plain = [re.sub(r"\W+", "_", h).strip("_") if split_unit(h)[1] in own else plain_heading(h) for h in headings]
     names = [split_unit(heading)[0] for heading in plain]
     found = []
     for new, old, name in zip(plain, headings, names, strict=True):

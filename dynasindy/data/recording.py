@@ -265,10 +265,10 @@ class LogReader:
         inputs = with_units(inputs if plant is None else _with_actuator_ranges(inputs, plant), False)
         finite = np.isfinite(table.frame)
         frame = table.frame if finite.to_numpy().all() else table.frame.where(finite)
-        frame = _without_copies(_hold_inputs(frame, driving, findings), findings)
+        frame = _without_copies(_hold_inputs(frame, driving, findings), driving, findings)
         frame, whole = _with_times(frame, driving, findings)
         t, of_time = in_seconds(path, replace(table, frame=frame), unit, self.dt)
-        if (np.diff(t) < 0).any() and (ordered := _in_order(frame, findings)) is not None:
+        if (np.diff(t) < 0).any() and (ordered := _in_order(frame, driving, findings)) is not None:
             frame, whole = ordered, ordered.iloc[:, driving].notna().all(axis=1).to_numpy()
             t, of_time = in_seconds(path, replace(table, frame=frame), unit, self.dt)
         t, lines, values = t[whole], frame.index[whole], frame.to_numpy()[whole].T
@@ -324,23 +324,27 @@ def _with_times(frame: pd.DataFrame, driving: slice, findings: list[Finding]) ->
     return frame if timed.all() else frame[timed], ~skipped[timed]
 
 
-def _without_copies(frame: pd.DataFrame, findings: list[Finding]) -> pd.DataFrame:
-    """Return a table without rows that a logger wrote twice, where the time stands still in these alone."""
-    values = frame.to_numpy()
-    again = np.append(False, ((values[1:] == values[:-1]) | np.isnan(values[1:]) & np.isnan(values[:-1])).all(1))
-    if not again.any() or again.mean() > FAULTY or (np.diff(values[~again, 0]) <= 0).any():
+def _without_copies(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> pd.DataFrame:
+    """Return a table without rows that stand there twice, where the time stands still in these alone.
+
+    Of two that differ in an input, as a simulation writes them before and after an event, the second one stays.
+    """
+    values = frame.to_numpy()[:, : driving.start]
+    again = ((values[1:] == values[:-1]) | np.isnan(values[1:]) & np.isnan(values[:-1])).all(1)
+    kept = np.append(~again, True)
+    if not again.any() or (np.diff(values[kept, 0]) <= 0).any():
         return frame
-    findings.append(note("log.copies", count=int(again.sum()), line=int(frame.index[again.argmax()])))
-    return frame[~again]
+    findings.append(note("log.copies", count=int(again.sum()), line=int(frame.index[1:][again.argmax()])))
+    return frame[kept]
 
 
-def _in_order(frame: pd.DataFrame, findings: list[Finding]) -> pd.DataFrame | None:
+def _in_order(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> pd.DataFrame | None:
     """Return rows in the order of their times, where these come as from one clock then: at no shorter steps than usual.
 
     So some rows came late or twice, or the newest first. Where a clock was set back there are shorter steps.
     """
     said = list[Finding]()
-    ordered = _without_copies(frame.sort_values(frame.columns[0], kind="stable"), said)
+    ordered = _without_copies(frame.sort_values(frame.columns[0], kind="stable"), driving, said)
     steps, late = np.diff(ordered.iloc[:, 0]), np.diff(frame.iloc[:, 0]) < 0
     if steps.min() < 0.6 * np.median(steps):
         return None

@@ -28,6 +28,8 @@ DAY = 86400.0
 CODES = frozenset((999.0, 999.9, 9999.0, 9999.9, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0, 2.0**31, 2.0**31 - 1))
 HUGE = 1e30
 """What programs write where a sample was lost, of either sign."""
+SWITCHED = {"on": 1.0, "off": 0.0, "yes": 1.0, "no": 0.0, "open": 1.0, "closed": 0.0, "true": 1.0, "false": 0.0}
+"""Words for 1 and 0, in small letters."""
 COUNTED = 5
 """Rows from which on a column that grows by one in each is a counter; fewer may do so by chance."""
 FRACTION = re.compile(r"(?:.*[\W_])?(n|u|m|nano|micro|milli)(?:s|secs?|seconds?)", re.IGNORECASE)
@@ -221,7 +223,7 @@ def _with_one_clock(table: Table) -> Table:
     frame, moved, now = table.frame.copy(), list[str](), table.column(first)
     for begin, heading in others:
         for name in table.headings:
-            if re.match(rf"{re.escape(begin)}($|[_ ./])", name) and name != heading:
+            if re.search(rf"(?:^|[_ ./]){re.escape(begin)}(?:$|[_ ./])", name) and name != heading:
                 then, column = table.frame[[heading, name]].dropna().to_numpy().T
                 if np.median(np.diff(then)) > 1.5 * np.nanmedian(np.diff(now)):
                     rows = np.searchsorted(0.5 * (now[1:] + now[:-1]), then)
@@ -270,6 +272,9 @@ def _numbers(text: pd.Series) -> tuple[Array, Words | None, bool]:
     points = points.str.replace(r"(?<=\d)[dD](?=[+-]?\d+$)", "e", regex=True)  # as Fortran writes
     points = points.str.replace(r"^(?:\(([\d.]+)\)|([\d.]+)-|- +([\d.]\S*))$", r"-\1\2\3", regex=True)  # as bookkeepers
     numbers = pd.to_numeric(points, errors="coerce").to_numpy(np.float64, na_value=np.nan)
+    switched = text.str.lower().map(SWITCHED)
+    if np.isnan(numbers).all() and switched.notna().any() and switched.notna().eq(text.notna()).all():
+        return switched.to_numpy(np.float64, na_value=np.nan), None, False
     worded = text[np.isnan(numbers) & ~text.fillna("").str.lower().isin(["", "nan"]).to_numpy(bool)]
     if not len(worded):
         return numbers, None, False
@@ -284,7 +289,7 @@ def _numbers(text: pd.Series) -> tuple[Array, Words | None, bool]:
 
 def _seconds(text: pd.Series) -> Array:
     """Return the seconds of dates, NaN of what is none."""
-    text = text.str.replace(",", ".", regex=False).str.replace(r"^\[|\]$|(?<=\d) ?[A-Z]{3,4}$", "", regex=True)
+    text = text.str.replace(",", ".", regex=False).str.replace(r"^\[|\]$|^T#|(?<=\d) ?[A-Z]{3,4}$", "", regex=True)
     text = text.str.replace(r"(:\d\d:\d\d):(\d{1,6})$", r"\1.\2", regex=True)  # a colon before the milliseconds
     dates = _since_1970(pd.to_datetime(text, format="ISO8601", utc=True, errors="coerce"))
     return dates if np.isfinite(dates).any() else _other_dates(text)
@@ -354,7 +359,7 @@ def select_columns(path: Path, names: Sequence[str], dt: float | None = None) ->
         raise ValueError(
             f"{path}, column {heading!r} has no number, but values such as {words[heading].text!r}; allowed are "
             "numbers, and of time dates such as 2024-05-31 12:00:00.05 or 31.05.2024 12:00:00.05: convert the column, "
-            "words such as OPEN and CLOSED to 1 and 0"
+            "words such as UP and DOWN to 1 and 0"
         )
     said = [note("log.words", line=w.line, column=h, text=w.text, count=w.count) for h, w in words.items()]
     return replace(whole.edit(frame, {}, *said), words=words, dated=whole.dated & {first})

@@ -212,8 +212,10 @@ def test_words_of_a_switch_are_an_input_and_a_label_in_the_line_of_units_is_no_u
     assert found.transitions.u[:, 0].tolist() == on[:-1].tolist()
 
 
-def test_places_in_the_stead_of_names_are_no_row(tmp_path):
-    found = recording(tmp_path / "l.csv", "0,1,2,3", T, ANGLE, RATE, COMMAND)
+@pytest.mark.parametrize("index", [False, True])
+def test_places_in_the_stead_of_names_are_no_row(tmp_path, index):
+    columns = ([np.arange(ROWS)] if index else []) + [T, ANGLE, RATE, COMMAND]
+    found = recording(tmp_path / "l.csv", "," * index + "0,1,2,3", *columns)
     assert (found.signature.state_names, len(found.transitions)) == (("x1", "x2"), ROWS - 1)
 
 
@@ -265,3 +267,37 @@ def test_what_jumps_with_an_input_is_no_state(tmp_path):
     found = recording(tmp_path / "l.csv", "time,angle,rate,push,u", T, ANGLE, RATE, push, command)
     _require_truth(found)
     assert [each.values["why"] for each in found.findings if each.code == "log.left_out"] == ["direct"]
+
+
+def test_of_two_rows_at_an_event_the_second_stays(tmp_path):
+    command = np.where(np.arange(ROWS) // 10 % 2, 0.7, -0.4)
+    events = np.flatnonzero(np.diff(command)) + 1
+    rows = np.sort(np.r_[np.arange(ROWS), events])
+    before = np.append(rows[1:] == rows[:-1], False)
+    u = np.where(before, command[rows - 1], command[rows])
+    found = recording(tmp_path / "l.csv", "time,angle,rate,u", T[rows], ANGLE[rows], RATE[rows], u)
+    _require_truth(found)
+    assert found.transitions.u[:, 0].numpy() == pytest.approx(command[:-1])
+
+
+@pytest.mark.parametrize(
+    ("headings", "names", "units"),
+    [
+        ('time;"angle, deg (S/N: 17)";"rate, deg/s (S/N: 18)";u', ("angle", "rate"), ("rad", "rad/s")),
+        ("time;angle;der(angle);u", ("angle", "der_angle"), ("-", "-")),
+        ("time;x['angle'];x['rate'];u", ("x_angle", "x_rate"), ("-", "-")),
+    ],
+)
+def test_what_stands_in_brackets_and_is_no_unit_belongs_to_the_name(tmp_path, headings, names, units):
+    rows = (";".join(map(str, row)) for row in zip(T, ANGLE, RATE, COMMAND, strict=True))
+    (tmp_path / "l.csv").write_text("\n".join([headings, *rows]))
+    signature = LoggedData(str(tmp_path / "l.csv")).recording().signature
+    assert (signature.state_names, signature.state_units) == (names, units)
+
+
+def test_a_switch_that_is_missing_now_and_then_is_one(tmp_path):
+    words = ["" if k % 50 == 7 else "OPEN" if k // 20 % 2 else "CLOSED" for k in range(ROWS)]
+    rows = (f"{t:.2f},{a:.6f},{r:.6f},{u}" for t, a, r, u in zip(T, ANGLE, RATE, words, strict=True))
+    (tmp_path / "l.csv").write_text("\n".join(["time,angle,rate,valve", *rows]))
+    found = LoggedData(str(tmp_path / "l.csv")).recording()
+    assert found.signature.input_names == ("valve",) and set(found.transitions.u[:, 0].tolist()) == {0.0, 1.0}
