@@ -81,17 +81,20 @@ class Settings:
             raise ValueError(f"{self}: give points >= 1, grid >= 2, draws >= 0, seconds > 0 and reach > 0")
 
     @property
+    def ends(self) -> Tensor:
+        """Lower and upper end of the target range, `(2, n_r)`."""
+        return torch.tensor([self.low, self.high], dtype=torch.float64)
+
+    @property
     def middle(self) -> Tensor:
         """Middle of the target range, `(n_r,)`."""
-        low, high = (torch.tensor(ends, dtype=torch.float64) for ends in (self.low, self.high))
-        return (low + high) / 2
+        return self.ends.mean(0)
 
     @property
     def targets(self) -> Tensor:
         """All combinations of targets, `(points ** n_r, n_r)`."""
         parts = [k / (self.points - 1) for k in range(self.points)] if self.points > 1 else [0.5]
-        low, high = (torch.tensor(ends, dtype=torch.float64) for ends in (self.low, self.high))
-        axes = torch.lerp(low.unsqueeze(-1), high.unsqueeze(-1), torch.tensor(parts, dtype=torch.float64))
+        axes = torch.lerp(*self.ends.unsqueeze(-1), torch.tensor(parts, dtype=torch.float64))
         return torch.cartesian_prod(*axes).reshape(-1, len(axes))
 
 
@@ -214,9 +217,8 @@ class Check:
     def reach(self) -> Tensor:
         """Distance from the target of `drawn` beyond which what ends there has run away, `(n_r,)` [of the outputs]."""
         outputs = self.loop.task.outputs
-        low, high = (torch.tensor(ends, dtype=torch.float64) for ends in (self.settings.low, self.settings.high))
-        way = (self.targets[self.farthest] - self.begin[outputs]).abs()
-        extent = torch.maximum(high - low, way)
+        low, high = self.settings.ends
+        extent = torch.maximum(high - low, (self.targets[self.farthest] - self.begin[outputs]).abs())
         size = torch.tensor(self.loop.signature.x_scale, dtype=torch.float64)[outputs]
         return AWAY * extent.where(extent > 0, size)
 

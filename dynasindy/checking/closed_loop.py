@@ -167,7 +167,7 @@ class ClosedLoop:
         policy = copy.deepcopy(controller.policy)
         policy = policy.double() if isinstance(policy, torch.nn.Module) else policy
         self.law = ControlLaw(policy, controller.setup, self.observer, controller.integral, torch.float64)
-        scales = {name: scale for name, scale in self._scales().items() if len(scale)}
+        scales = self._scales()
         ends = list(accumulate(map(len, scales.values()), initial=0))
         self.parts = {name: slice(*ends[k : k + 2]) for k, name in enumerate(scales)}
         self.size, self.scale = ends[-1], torch.cat([*scales.values()])
@@ -213,10 +213,11 @@ class ClosedLoop:
         z = torch.zeros(*x.shape[:-1], self.size, dtype=torch.float64)
         z[..., self.parts["x"]] = x
         for name, values in (("late", x), ("pending", u), ("inputs", u)):
-            if part := self.parts.get(name):
-                z[..., part] = values.repeat(*[1] * (values.dim() - 1), (part.stop - part.start) // values.shape[-1])
-        if part := self.parts.get("mean"):
-            z[..., part.start : part.start + self.signature.n_x] = x
+            part, width = self.parts[name], max(1, values.shape[-1])
+            z[..., part] = values.repeat(*[1] * (values.dim() - 1), (part.stop - part.start) // width)
+        if self.observer is not None:
+            start = self.parts["mean"].start
+            z[..., start : start + self.signature.n_x] = x
         return z
 
     def started(self, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -285,17 +286,17 @@ class ClosedLoop:
         """
         x, y = z[..., self.parts["x"]], self._measured(z)
         held = {
-            name: z[..., self.parts.get(name, slice(0, 0))].unflatten(-1, shape)
+            name: z[..., self.parts[name]].unflatten(-1, shape)
             for name, shape in zip(Memory._fields, self.law.shapes, strict=True)
             if name != "covariance"
         }
         # One covariance may serve many rows, as the differences of a linearisation.
         shared = covariance if self.observer is None else covariance.expand(*z.shape[:-1], *covariance.shape[-2:])
         u, memory = self.law.step(Memory(covariance=shared, **held), y + noise, r)
-        waiting = torch.cat([z[..., self.parts.get("pending", slice(0, 0))], u + extra], -1)
+        waiting = torch.cat([z[..., self.parts["pending"]], u + extra], -1)
         moved = {
             "x": self.move(x, waiting.unflatten(-1, (-1, u.shape[-1]))),
-            "late": torch.cat([z[..., self.parts.get("late", slice(0, 0))], x], -1)[..., x.shape[-1] :],
+            "late": torch.cat([z[..., self.parts["late"]], x], -1)[..., x.shape[-1] :],
             "pending": waiting[..., u.shape[-1] :],
             **{name: getattr(memory, name).flatten(z.dim() - 1) for name in held},
         }
@@ -303,8 +304,8 @@ class ClosedLoop:
 
     def _measured(self, z: Tensor) -> Tensor:
         """Return the measurement that arrives now, noise apart."""
-        part = self.parts.get("late", self.parts["x"])
-        return z[..., part.start : part.start + self.signature.n_x]
+        ways = [z[..., self.parts[name]] for name in ("late", "x")]
+        return torch.cat(ways, -1)[..., : self.signature.n_x]
 
     def move(self, x: Tensor, inputs: Tensor) -> Tensor:
         """Return the states of the model one control period later.

@@ -69,11 +69,14 @@ def test_it_flies_as_the_controller_does(networks, disturbance, delay, late, int
 
 
 def test_a_loop_holds_what_its_controller_remembers_and_nothing_else(loops):
-    assert loops().parts == {"x": slice(0, 2)}
-    assert loops(integral={}).parts == {"x": slice(0, 2), "integral": slice(2, 3)}
+    def parts(**settings):
+        return {name: part for name, part in loops(**settings).parts.items() if part.stop > part.start}
+
+    assert parts() == {"x": slice(0, 2)}
+    assert parts(integral={}) == {"x": slice(0, 2), "integral": slice(2, 3)}
     # A measurement under way, three commands that the observer remembers, and its estimate.
     late = {"x": slice(0, 2), "late": slice(2, 4), "inputs": slice(4, 7), "mean": slice(7, 9)}
-    assert loops(observer={"delay": 1}).parts == late
+    assert parts(observer={"delay": 1}) == late
 
 
 def test_a_law_of_all_states_is_the_map_that_is_written_down(loops):
