@@ -6,6 +6,7 @@ them is shown as it stands, and is neither HTML nor a link.
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -145,17 +146,14 @@ class Section:
     parts: list[Part] = field(default_factory=list)
     judged: list[tuple[str, Judgement]] = field(default_factory=list)
 
-    def content(self) -> Iterator[Part]:
-        """Yield what stands under the heading, from top to bottom: figures, what was judged by them, and all else."""
-        yield from (part for part in self.parts if isinstance(part, Picture))
+    @property
+    def judgements(self) -> tuple[list[str], list[list[str]]]:
+        """Header and rows of the table of what was judged, a column per case; no rows where nothing was."""
         rows: dict[str, dict[str, str]] = {}
         for case, one in self.judged:
             rows.setdefault(one.statement, {})[case] = f"{one.verdict.value} ({one.ours})"
-        if rows:
-            cases = list(dict.fromkeys(case for case, _ in self.judged))
-            cells = [[statement, *(of.get(case, "") for case in cases)] for statement, of in rows.items()]
-            yield TextTable(["the paper", *cases], cells)
-        yield from (part for part in self.parts if not isinstance(part, Picture))
+        cases = list(dict.fromkeys(case for case, _ in self.judged))
+        return ["the paper", *cases], [[what, *(of.get(case, "") for case in cases)] for what, of in rows.items()]
 
 
 def render_markdown(sections: Mapping[str, Section]) -> str:
@@ -164,37 +162,28 @@ def render_markdown(sections: Mapping[str, Section]) -> str:
     What figures and tables come from stands once, in a numbered list at the end of the page.
     """
     sources: dict[str, int] = {}
-    page = jinja2.Environment(
-        loader=jinja2.PackageLoader("dynasindy.viz", ""),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-    )
-    page.filters |= {"paragraph": lambda text: _paragraph(text) + "\n", "escape_markdown": escape_markdown}
-    return page.get_template("report.md.jinja").render(
+
+    def _cite(lines: Sequence[str]) -> str:
+        numbers = [str(sources.setdefault(line, len(sources) + 1)) for line in lines]
+        return f"Source: {', '.join(numbers)}." if numbers else ""
+
+    loader = jinja2.PackageLoader("dynasindy.viz", "")
+    page = jinja2.Environment(loader=loader, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    page.filters |= {"paragraph": _paragraph, "escape_markdown": escape_markdown}
+    text = page.get_template("report.md.jinja").render(
         {name: value for name, value in globals().items() if name.isupper()},  # what verdicts depend on
         BEYOND=BEYOND,
         sections=sections,
         verdict=_verdict([pair for section in sections.values() for pair in section.judged]),
-        show=lambda section: "\n\n".join(_markdown(part, sources) for part in section.content()),
+        table=markdown,
+        cite=_cite,
         sources=sources,
     )
-
-
-def _markdown(part: Part, sources: dict[str, int]) -> str:
-    """Return a part as Markdown, and add what it comes from to the sources."""
-    if isinstance(part, str):
-        return _paragraph(part)
-    numbers = [str(sources.setdefault(line, len(sources) + 1)) for line in part.sources]
-    source = f"Source: {', '.join(numbers)}." if numbers else ""
-    if isinstance(part, Picture):
-        image = f"![{part.name.replace('_', ' ')}](figures/{part.name}.svg)"
-        return f"{image}\n\n{_markdown(f'{part.caption} {source}'.strip(), sources)}"
-    return "\n\n".join(filter(None, [markdown(part.header, part.rows), source]))
+    return re.sub(r"\n{3,}", "\n\n", text.strip()) + "\n"
 
 
 def _paragraph(words: str) -> str:
-    return textwrap.fill(escape_markdown(words), WIDTH, break_long_words=False, break_on_hyphens=False)
+    return textwrap.fill(escape_markdown(words.strip()), WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
 @dataclass(frozen=True)
