@@ -94,7 +94,8 @@ class Settings:
     def targets(self) -> Tensor:
         """All combinations of targets, `(points ** n_r, n_r)`."""
         parts = [k / (self.points - 1) for k in range(self.points)] if self.points > 1 else [0.5]
-        axes = torch.lerp(*self.ends.unsqueeze(-1), torch.tensor(parts, dtype=torch.float64))
+        low, high = self.ends.unsqueeze(-1)
+        axes = torch.lerp(low, high, torch.tensor(parts, dtype=torch.float64))
         return torch.cartesian_prod(*axes).reshape(-1, len(axes))
 
 

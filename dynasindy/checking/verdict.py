@@ -241,8 +241,8 @@ def _steps(found: Check, limits: Thresholds) -> list[Finding]:
     ):
         most = values.amax(0)
         i = int(most.argmax())
-        facts = {"input": names[i], "value": float(most[i]), "limit": limit, **more}
-        findings.append(_judged(code, facts["value"] <= limit, begin=begin, **facts))
+        value = float(most[i])
+        findings.append(_judged(code, value <= limit, begin=begin, input=names[i], value=value, limit=limit, **more))
     return findings
 
 
