@@ -27,13 +27,14 @@ from dynasindy.sindy.reconstruction import rate_states, reconstruct, settle_lag_
 from dynasindy.sindy.regression import least_squares
 from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.sindy.world_model import variance
+from dynasindy.systems.base import Signature, turn_of
 from dynasindy.systems.equilibria import LocalModes
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import MANY
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 20)
 """Numbers of past samples to choose from."""
-ENOUGH_ROWS, ENOUGH_SAMPLES = 50_000, 200_000
+ENOUGH_ROWS, ENOUGH_SAMPLES = 20_000, 200_000
 """Rows of a long recording that tell some fifty weights as well as all of them, and predicted samples that tell which
 of two models is better."""
 
@@ -217,7 +218,7 @@ def forecast_errors(
     """
     if not len(validation):
         return None
-    time = characteristic(training)
+    time = characteristic(training, model.signature)
     fit = min(max(round(time / 4 / validation.dt), SHORTEST_FIT), LONGEST_FIT)
     while (reach := start_rows(validation, fit)[1]) < 2 * fit and fit > 2:
         fit //= 2
@@ -304,7 +305,8 @@ def predict_ahead(model: SindyModel, training: Transitions, data: Transitions, s
         starts: rows of the last samples that are known, one segment's, `(S,)`.
         steps: sampling times that are predicted.
     """
-    longest = min(max(round(characteristic(training) / 4 / data.dt), SHORTEST_FIT), LONGEST_FIT, int(starts.min()))
+    time = characteristic(training, model.signature)
+    longest = min(max(round(time / 4 / data.dt), SHORTEST_FIT), LONGEST_FIT, int(starts.min()))
     length = int(starts.min()) if len(starts) == 1 else _length(model, training, longest, [steps])
     begin = starting_states(model, data, starts, length)
     return predict_from(model, data, begin, starts.unsqueeze(-1) + torch.arange(steps))
@@ -331,12 +333,16 @@ def samples_after(data: Transitions, starts: Tensor, steps: int) -> tuple[Tensor
     return later, torch.where(inside.unsqueeze(-1), data.x_next[later], math.nan)
 
 
-def characteristic(data: Transitions) -> float:
-    """Return the time in which the slowest measured state changes by its own spread [s]; a third of a log at most."""
+def characteristic(data: Transitions, signature: Signature) -> float:
+    """Return the time in which the slowest measured state changes by its own spread [s]; a third of a log at most.
+
+    An angle that turns over is as far from where it was after a part of a turn as it ever is.
+    """
     longest = max(2, int(torch.bincount(data.segment - data.segment.min()).max()) // 3)
     lags = sorted({round(1.15**k) for k in range(200) if round(1.15**k) <= longest})
     waiting = [i for i in range(data.x.shape[1]) if float(data.x_next[:, i].nan_to_num().std()) > 0]
-    spread = (data.x_next - data.x_next.nanmean(0)).square().nanmean(0).sqrt()
+    turns = torch.tensor([turn_of(unit) for unit in signature.state_units], dtype=torch.float64)
+    spread = (data.x_next - data.x_next.nanmean(0)).square().nanmean(0).sqrt().minimum(turns / math.sqrt(12))
     stride = -(-len(data) // PAIRS)
     for lag in lags:
         later, sooner = slice(lag, None, stride), slice(None, -lag, stride)

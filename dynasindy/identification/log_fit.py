@@ -59,7 +59,7 @@ SOONEST, SLOWEST = 0.02, 3
 """First and last time ahead over which candidates are judged [times in which the slowest state changes]."""
 LOST = 1e3
 """Times the error of the best simple model that counts at most, as of a candidate that runs away."""
-ROWS, FINAL_ROWS = 10_000, 100_000
+ROWS, FINAL_ROWS = 10_000, 50_000
 """Rows that a candidate is fitted to at most, and the best one in the end, in stretches spread evenly."""
 SHORT, FOLDS = 3000, 3
 """Samples below which several parts are kept in turn, and how many."""
@@ -154,7 +154,7 @@ def fit_log(model: SindyModel, source: Source) -> LogFit:
     settings = model.refinement
     free = settings is not None and settings.method == "auto" and settings.error is None
     searched = settings is not None and source.logged and model.step is None and (free or model.given_known is None)
-    if settings is not None and searched and (folds := HoldOut.folds(source.training)):
+    if settings is not None and searched and (folds := HoldOut.folds(source)):
         search = _Search(model, settings, source, folds)
         if free and (found := search.run()) is not None:
             return replace(found, report=replace(found.report, seconds=time.perf_counter() - began))
@@ -189,21 +189,23 @@ class HoldOut:
     floor: Tensor
 
     @classmethod
-    def folds(cls, data: Transitions) -> list[HoldOut]:
+    def folds(cls, source: Source) -> list[HoldOut]:
         """Split training data: a long recording once, a short one several times, each time with another part kept.
 
         There is none where the parts to judge on would be too short for that.
         """
+        data = source.training
         place, length = torch.arange(len(data)), round(KEPT * len(data))
         ends = [len(data) - k * length for k in range(FOLDS if len(data) < SHORT else 1)]
         resolution = resolutions(data).nan_to_num()
-        found = [cls._of(data, (place < end - length) | (place >= end), resolution) for end in ends]
+        found = [cls._of(source, (place < end - length) | (place >= end), resolution) for end in ends]
         return [each for each in found if each is not None]
 
     @classmethod
-    def _of(cls, data: Transitions, early: Tensor, resolution: Tensor) -> HoldOut | None:
+    def _of(cls, source: Source, early: Tensor, resolution: Tensor) -> HoldOut | None:
+        data = source.training
         fit, kept = data.select(early), data.select(~early)
-        slow = characteristic(fit)
+        slow = characteristic(fit, source.signature)
         before = min(max(round(slow / data.dt), FEWEST), MOST, len(kept) // 4)
         starts, reach = start_rows(kept, before)
         last = min(2 * reach // 3, max(round(SLOWEST * slow / data.dt), FARTHEST), LIMIT)
@@ -361,7 +363,7 @@ class _Search:
     @cached_property
     def slow(self) -> float:
         """Time in which the slowest state changes [s]."""
-        return characteristic(self.source.training)
+        return characteristic(self.source.training, self.source.signature)
 
     def run(self) -> LogFit | None:
         """Return the best candidate, fitted to all training data; None where none could be fitted."""
@@ -584,6 +586,8 @@ class _Search:
             found = self._again(f"{what} with a penalty of {penalty:g}", last, replace(settings, penalty=penalty))
             if found is None:
                 break
+            if found.equations == last.equations:  # what is not worth the lower price is not worth the higher one
+                return found if best is None else _better(best, found)
             last, best = found, found if best is None else _better(best, found)
         return best
 

@@ -291,18 +291,18 @@ def test_a_rate_that_a_log_lacks_is_added_whatever_fits_it_unless_it_is_said_to_
 
 def test_candidates_are_judged_on_rows_that_none_was_fitted_to():
     source = noisy_tank(1200)
-    folds = HoldOut.folds(source.training)
+    folds = HoldOut.folds(source)
     assert len(folds) == module.FOLDS
     for fold in folds:
         assert len(fold.kept) == 300 and int(fold.early.sum()) == 900
         assert torch.equal(fold.kept.x, source.training.x[~fold.early])
     assert int(torch.stack([~fold.early for fold in folds]).sum(0).max()) == 1, "each row is kept once at most"
     long = noisy_tank(8000)
-    assert len(HoldOut.folds(long.training)) == 1
+    assert len(HoldOut.folds(long)) == 1
 
 
 def test_a_score_tells_how_far_errors_are_beyond_those_of_the_best_simple_model():
-    fold = HoldOut.folds(noisy_tank(1200).training)[0]
+    fold = HoldOut.folds(noisy_tank(1200))[0]
     assert fold.score(fold.simple) == pytest.approx(0.0, abs=1e-12)
     assert fold.score(2 * fold.simple.maximum(fold.floor)) == pytest.approx((1 + module.BEHIND) * math.log(2))
     tiny = torch.zeros_like(fold.simple)
