@@ -59,6 +59,8 @@ SOONEST, SLOWEST = 0.02, 3
 """First and last time ahead over which candidates are judged [times in which the slowest state changes]."""
 LOST = 1e3
 """Times the error of the best simple model that counts at most, as of a candidate that runs away."""
+FORGOTTEN = 2**0.5
+"""Error of a prediction that has nothing to do with what comes [deviations of the state]."""
 ROWS, FINAL_ROWS = 10_000, 50_000
 """Rows that a candidate is fitted to at most, and the best one in the end, in stretches spread evenly."""
 SHORT, FOLDS = 3000, 3
@@ -223,9 +225,12 @@ class HoldOut:
         deviation = variance(data.x_next).sqrt()
         spread = (data.x_next - data.x_next.nanmean(0)).abs().nan_to_num().amax(0)
         floor = torch.maximum(resolution, EXACT * spread)
-        if len(errors) > 1:  # where linear models are off by as much as the states, as of an unstable plant, none tells
-            tells = (errors[:-1] / deviation).log().nanmean(-1).amin(0) < 0
-            steps = steps[: max(2, int(tells.long().cumprod(0).sum()))]
+        if len(errors) > 1:
+            # How far ahead an unstable plant can be predicted, the linear model tells that is the best one at first: in
+            # closed loop those that are better far ahead are stable, as the plant is not.
+            share = (errors[:-1] / deviation).log().nanmean(-1)
+            best = share[share[:, 0].nan_to_num(math.inf).argmin()]
+            steps = steps[: max(2, int((best < math.log(FORGOTTEN)).long().cumprod(0).sum()))]
         later, real, errors = later[:, : steps[-1]], real[:, : steps[-1]], errors[:, : len(steps)]
         return cls(early, kept, steps, starts, later, real, before, errors, floor)
 

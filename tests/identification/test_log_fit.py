@@ -301,6 +301,23 @@ def test_candidates_are_judged_on_rows_that_none_was_fitted_to():
     assert len(HoldOut.folds(long)) == 1
 
 
+def test_a_balanced_pole_is_judged_no_farther_ahead_than_it_can_be_predicted():
+    rng, dt, noise = np.random.default_rng(0), 0.01, 1e-4
+    x, last, rate, rows = np.zeros(2), 0.0, 0.0, []
+    for push in np.repeat(rng.uniform(-0.6, 0.6, 250), 10):
+        y = x[0] + noise * rng.normal()
+        rate, last = 0.8 * rate + 0.2 * (y - last) / dt, y
+        u = push - 3 * y - 0.4 * rate
+        rows.append((y, u))
+        for _ in range(10):
+            x = x + dt / 10 * np.array([x[1], 30 * np.sin(x[0]) - 0.2 * x[1] + 20 * u])
+    y, u = np.array(rows)[:, :1], np.array(rows)[:-1, 1:]
+    # What a sensor does not resolve grows by exp(sqrt(30) t), until it is as large as what the pole does.
+    blind = math.log(y.std() / noise) / math.sqrt(30)
+    for fold in HoldOut.folds(source_of(y, u / abs(u).max(), dt, ("a",))):
+        assert blind / 4 < fold.steps[-1] * dt < blind
+
+
 def test_a_score_tells_how_far_errors_are_beyond_those_of_the_best_simple_model():
     fold = HoldOut.folds(noisy_tank(1200))[0]
     assert fold.score(fold.simple) == pytest.approx(0.0, abs=1e-12)
