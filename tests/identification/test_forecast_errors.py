@@ -139,10 +139,11 @@ def test_a_sine_changes_by_its_spread_in_a_sixth_of_its_period():
     t = DT * torch.arange(3001, dtype=torch.float64)
     x = torch.stack([torch.sin(t), torch.sin(7 * t)], -1)
     # |sin(t + h) - sin t| is 2 sin(h/2) rms / sqrt 2, the spread 1 / sqrt 2: h = pi / 3.
-    assert characteristic(Transitions.from_trajectory(x, x[:, :1], DT), SIGNATURE) == pytest.approx(math.pi / 3, rel=0.15)
+    data = Transitions.from_trajectory(x, x[:, :1], DT)
+    assert characteristic(data, SIGNATURE) == pytest.approx(math.pi / 3, rel=0.15)
 
 
-@pytest.mark.parametrize("unit, turn", [("rad", 2 * math.pi), ("deg", 360.0)])
+@pytest.mark.parametrize(("unit", "turn"), [("rad", 2 * math.pi), ("deg", 360.0)])
 def test_an_angle_that_turns_over_changes_by_the_spread_of_a_turn(unit, turn):
     x = 0.5 * turn * DT * torch.arange(3001, dtype=torch.float64).unsqueeze(-1)  # half a turn a second
     signature = Signature(("q",), (unit,), ("u",), (1.0,))
