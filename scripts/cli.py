@@ -181,13 +181,6 @@ def group_options(group: str) -> dict[str, Path]:
     return {file.stem: file for folder in folders for file in sorted((folder / group).glob("[!_]*.yaml"))}
 
 
-@cache
-def plant_settings() -> frozenset[str]:
-    """Return the settings of a plant: those that conf/ reads, beside those that code reads by their names."""
-    texts = [file.read_text() for file in CONF.rglob("*.yaml")]
-    return frozenset(["functions", "libraries", *re.findall(r"\bplant\.([a-z]+)", " ".join(texts))])
-
-
 def help_page(name: str, words: Sequence[str]) -> str:
     """Return the help of a command: what it does, and its files of conf/, whose comments say what each key means.
 

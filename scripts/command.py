@@ -4,7 +4,6 @@ Of a sweep, mistakes are found before its first job, and what came of the jobs i
 """
 
 import gc
-import hashlib
 import os
 import re
 import shutil
@@ -15,7 +14,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import ClassVar, NoReturn
+from typing import ClassVar
 
 from cli import (  # isort: split
     CONF,
@@ -24,7 +23,6 @@ from cli import (  # isort: split
     exit_at_once,
     handle_signals,
     pipe_guard,
-    plant_settings,
     program,
     require_writable,
     stop,
@@ -33,113 +31,93 @@ from cli import (  # isort: split
 os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hydra's printer
 
 import hydra
-from errors import MENDABLE, MISSPELT, in_words, mendable, of_user
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-from hydra._internal.utils import get_args_parser
-from hydra.core.global_hydra import GlobalHydra
+import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException
+from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf.errors import OmegaConfBaseException
+from words import read_words, taken_from, unknown_name
 
+import dynasindy
 from dynasindy.dyna import Stopped
+from dynasindy.limits import is_memory_error, memory_wanted
 from dynasindy.progress import LOADING, Progress, fit_stderr, report_progress, say
 from dynasindy.safe_io import LinkError, write_text
 from dynasindy.sentences import use_command_words
 
+PACKAGE = Path(dynasindy.__file__).parent
+OTHERS = re.compile(r"^<|[/\\](site-packages|dist-packages|lib[/\\]python3[^/\\]*)[/\\]")
+"""Where the code of libraries lies."""
+MENDABLE = (
+    *(yaml.YAMLError, ValueError, TypeError, KeyError, OSError, ModuleNotFoundError),
+    *(HydraException, OmegaConfBaseException),
+)
+EXTRAS = {
+    **{"joblib": "sweep", "submitit": "slurm", "ray": "ray", "tensorboard": "tensorboard"},
+    **{"casadi": "export", "control": "export", "onnx": "export"},
+}
+"""Optional packages by the first word of a launcher or module, and the extra of ours that installs them."""
 PROGRESS = ExitStack()
 """What shows the work of the command."""
-TASK = {"system", "task", "plant", "experiment", "setting"}
-"""Groups that a task is made of; where jobs differ in them, each has a task of its own."""
-LOGGED = {"seed", "planning", "evaluation", "scenario", "threads"}
-"""Groups and settings in which jobs on a log may differ without reading it in different ways."""
+ONE_TASK = {"seed", "setting", "agent", "planning", "evaluation", "scenario", "train", "replay", "gate", "threads"}
+"""Groups and settings in which jobs of a sweep may differ that have one task, and read a log in one way."""
 
 
 class Sweep(Callback):
-    """Check what the jobs of a sweep share, and say at the end what came of them."""
+    """Check what the jobs of a sweep share before the first one."""
 
     here: ClassVar[bool] = False
     """Whether a command was started in this process; a worker of a launcher has none."""
-    running: ClassVar[str | None] = None
-    """Folder of the sweep that is under way."""
+    config: ClassVar[DictConfig | None] = None
+    """What the jobs of the sweep that is under way share."""
     began: ClassVar[float] = 0.0
     """When it began."""
-    errors: ClassVar[list[str]] = []
-    """What is told as an error when all is over, a line each."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
         """Find mistakes, which cost one line and exit code 2."""
-        folder = Path(config.hydra.sweep.dir)
-        Sweep.running, Sweep.began = str(folder), time.time()
+        Sweep.config, Sweep.began = config, time.time()
         show()
-        with one_line(config.hydra.job.config_name):
-            if (file := folder / "multirun.yaml").is_symlink():  # Hydra would write through it
+        with one_line():
+            if (file := Path(config.hydra.sweep.dir) / "multirun.yaml").is_symlink():  # Hydra would write through it
                 raise LinkError(file)
             _check_sweep(config.copy())
 
-    def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
-        """Say where the results are, and which jobs failed; an ablation has its tables and figures, too."""
-        folder, Sweep.running = Path(config.hydra.sweep.dir), None
-        reasons = sorted(str(file) for file in folder.rglob("*error.txt") if file.stat().st_mtime >= Sweep.began)
-        if reasons:
-            Sweep.errors.append(f"{len(reasons)} jobs failed; the reasons are in {', '.join(reasons)}")
-        print(f"Sweep: {folder}")
-        if any(folder.rglob("metrics.json")) and config.hydra.job.get("config_name") == "train":
-            say(f"next:\n  {program('table')} {folder}  # the table of its jobs")
-        if "level" not in config:
-            return
-        try:
-            from dynasindy.evaluation.ablation import gather
-            from dynasindy.viz.learning import draw_ablation
 
-            results, level = Path(config.results), instantiate(config.level)
-            if gather(folder, results, level).empty:
-                print(f"No run in {folder} has finished, so there are no tables and figures.")
-                return
-            draw_ablation(results, level)
-            say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
-        except Exception as error:  # Hydra would make a warning of it, and the command would end with code 0
-            if not isinstance(error, MENDABLE):
-                traceback.print_exc()
-            Sweep.errors.append(in_words(error, "ablation"))
-
-
-def jobs_of(hydra: DictConfig) -> tuple[int, list[str]]:
-    """Return how many jobs a sweep has, and the names of the settings in which they differ.
+def swept_keys(config: DictConfig) -> set[str]:
+    """Return the names of the settings and groups in which the jobs of a sweep differ; each has values.
 
     The sweeper's own settings come first, and the last word on each counts.
     """
-    words = [f"{name}={value}" for name, value in (hydra.sweeper.get("params") or {}).items()]
-    overrides = OverridesParser.create().parse_overrides([*words, *hydra.overrides.task])
+    words = [f"{name}={value}" for name, value in (config.hydra.sweeper.get("params") or {}).items()]
+    overrides = OverridesParser.create().parse_overrides([*words, *config.hydra.overrides.task])
     last = {override.get_key_element(): override for override in overrides}
-    different = [name for name, override in last.items() if override.is_sweep_override()]
-    return len(BasicSweeper.split_arguments(overrides, None)[0]), different
+    swept = {name: override for name, override in last.items() if override.is_sweep_override()}
+    for name, override in swept.items():
+        if override.is_range_sweep() and not any(True for _ in override.sweep_string_iterator()):
+            raise ValueError(f"the sweep has no job, as {name} has no value; give some, such as '{name}=range(0,5)'")
+    return {re.split(r"[.@]", name.lstrip("+~"))[0] for name in swept}
 
 
 def _check_sweep(config: DictConfig) -> None:
     """Check the config of a sweep, its launcher, its log and where the results of an ablation go."""
     from settings import check  # it imports torch
 
-    hydra = config.hydra
-    if hydra.launcher._target_.endswith(".SlurmLauncher") and shutil.which("srun") is None:
+    if config.hydra.launcher._target_.endswith(".SlurmLauncher") and shutil.which("srun") is None:
         raise ValueError("there is no srun here; choose hydra/launcher=joblib, or submitit_local")
-    jobs, swept = jobs_of(hydra)
-    if not jobs:
-        raise ValueError("the sweep has no job, as a range in it is empty; give values, such as 'seed=range(0,5)'")
-    different = {re.split(r"[.@]", word.lstrip("+~"))[0] for word in swept}
+    shared = swept_keys(config) <= ONE_TASK and config.get("resume") is None
     with open_dict(config):
         config.folder = ""  # each job has its own
         del config.hydra
     check(config)
-    if config.get("data") is not None or config.get("model") is not None:
-        if different <= LOGGED and config.get("resume") is None:
-            from logged import prepare
+    if shared and (config.get("data") is not None or config.get("model") is not None):
+        from logged import prepare
 
-            prepare(config)
-    elif None not in map(config.get, ("system", "task")) and config.resume is None and not different & TASK:
+        prepare(config)
+    elif shared and None not in map(config.get, ("system", "task")):
         instantiate(config.task, _convert_="all")(signature=instantiate(config.system, _convert_="all").signature)
     if "level" in config:
         from dynasindy.evaluation.ablation import read_tables
@@ -147,6 +125,33 @@ def _check_sweep(config: DictConfig) -> None:
         instantiate(config.level)
         require_writable(Path(config.results))
         read_tables(Path(config.results))  # one that is damaged is told now, and not after hours of runs
+
+
+def end_sweep(config: DictConfig, began: float) -> None:
+    """Say where the results of a sweep are, and which jobs failed; an ablation has its tables and figures, too."""
+    folder = Path(config.hydra.sweep.dir)
+    print(f"Sweep: {folder}")
+    if any(folder.rglob("metrics.json")) and config.hydra.job.get("config_name") == "train":
+        say(f"next:\n  {program('table')} {folder}  # the table of its jobs")
+    try:
+        if "level" in config:
+            _write_tables(folder, config)
+    finally:
+        if reasons := sorted(str(file) for file in folder.rglob("*error.txt") if file.stat().st_mtime >= began):
+            raise ValueError(f"{len(reasons)} jobs failed; the reasons are in {', '.join(reasons)}")
+
+
+def _write_tables(folder: Path, config: DictConfig) -> None:
+    """Write the tables and figures of an ablation, and print the table."""
+    from dynasindy.evaluation.ablation import gather
+    from dynasindy.viz.learning import draw_ablation
+
+    results, level = Path(config.results), instantiate(config.level)
+    if gather(folder, results, level).empty:
+        print(f"No run in {folder} has finished, so there are no tables and figures.")
+    else:
+        draw_ablation(results, level)
+        say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
 
 
 def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = True) -> None:
@@ -165,7 +170,7 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
             handle_signals(stop)
         use_command_words()
         output, swept = _output()
-        with suppress(SystemExit) if swept else nullcontext(), pipe_guard(), one_line(config_name, cfg):
+        with suppress(SystemExit) if swept else nullcontext(), pipe_guard(), one_line(cfg):
             try:
                 import torch  # here, as a misspelt key does without it
                 from settings import check
@@ -203,49 +208,26 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
     warnings.formatwarning = lambda message, *_, **__: fit_stderr(f"warning: {message}") + "\n"
     handle_signals(stop)
     try:
-        with one_line(config_name), PROGRESS:
-            parser = get_args_parser()  # which would print all options that there are
-            parser.error = _refuse_option  # type: ignore[method-assign]
-            parser.parse_args()
-            sys.argv[1:] = complete([as_text(_resolve_latest(word)) for word in sys.argv[1:]])
-            _start(hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(job))
+        with one_line(), PROGRESS:
+            sys.argv[1:] = read_words(config_name, sys.argv[1:])
+            hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(job)()
+            if Sweep.config is not None:
+                end_sweep(Sweep.config, Sweep.began)
     except KeyboardInterrupt as end:
         handle_signals(exit_at_once)
         line = " ".join((str(end) or "stopped").split())
-        if Sweep.running:
-            line = f"stopped; the finished jobs are kept in {Sweep.running}, the same command goes on with the others"
+        if Sweep.config is not None:
+            kept = Sweep.config.hydra.sweep.dir
+            line = f"stopped; the finished jobs are kept in {kept}, the same command goes on with the others"
         print(fit_stderr(line), file=sys.stderr)
         sys.exit(128 + getattr(end, "signal", 2))
     handle_signals(exit_at_once)
     gc.freeze()  # else the interpreter looks for a second whether anything that torch made is garbage
-    if Sweep.errors:
-        print(*(fit_stderr(f"error: {line}") for line in Sweep.errors), sep="\n", file=sys.stderr)
-        sys.exit(2)
 
 
 def _output() -> tuple[Path, bool]:
     """Return the folder that Hydra gives this job, and whether it is one of a sweep."""
     return Path(HydraConfig.get().runtime.output_dir), HydraConfig.get().mode == RunMode.MULTIRUN
-
-
-def _refuse_option(said: str) -> NoReturn:
-    raise ValueError(f"{said}; settings are written key=value, and --hydra-help lists the options")
-
-
-def _start(main: Callable[[], None]) -> None:
-    """Start a command; a setting of its plant that no file gives is added to those that one does."""
-    while True:
-        try:
-            return main()
-        except HydraException as error:
-            misspelt = MISSPELT.search(str(error))
-            words = [word.partition("=")[0] for word in sys.argv]
-            if misspelt is None or (key := misspelt[1]) not in words or not key.startswith("plant."):
-                raise
-            if key.split(".")[1] not in plant_settings():
-                raise
-            GlobalHydra.instance().clear()
-            sys.argv = [f"++{word}" if name == key else word for name, word in zip(words, sys.argv)]
 
 
 def show() -> None:
@@ -256,36 +238,37 @@ def show() -> None:
 
 
 @contextmanager
-def one_line(config_name: str, cfg: DictConfig | None = None) -> Iterator[None]:
+def one_line(cfg: DictConfig | None = None) -> Iterator[None]:
     """End with one line where the user can mend what is wrong: with exit code 2, or 1 if a computation ran away."""
     settings = None if cfg is None else OmegaConf.to_container(cfg)  # as they were given, before anything is read
     try:
         yield
     except (Exception, SystemExit) as error:
-        if isinstance(error, SystemExit) and not of_user(error):
-            raise
-        diverged = type(error).__name__ == "Diverged"  # its class would cost every command the import of torch
-        if os.environ.get("DYNASINDY_TRACEBACK") or not (diverged or mendable(error)):
-            if isinstance(error, SystemExit):  # of which Python prints nothing
+        words = in_words(error, settings)
+        if not words or os.environ.get("DYNASINDY_TRACEBACK"):
+            if words and isinstance(error, SystemExit):  # of which Python prints nothing
                 traceback.print_exception(error)
             raise
         traceback.clear_frames(error.__traceback__)  # what they hold may be the memory that is missing
-        line = f"error: {in_words(error, config_name, settings)}"
+        line = f"error: {words}"
         with suppress(OSError):  # the disk may be what is wrong
             folder, swept = _output() if HydraConfig.initialized() else (Path.cwd(), False)
-            if not swept:
-                remove_empty(folder)
             finished = (folder / "metrics.json").is_file()
             # Who gave the command has read the line; a job of a sweep always leaves its own.
             if folder.is_dir() and folder.resolve() != Path.cwd() and (swept or not finished):
                 file = _refusal_file(folder) if finished else folder / "error.txt"
                 file.unlink(missing_ok=True)  # it may be a link in a run folder of others
                 write_text(file, line + "\n")
-            remove_empty(Sweep.running)
-        if Sweep.running is None:
+            remove_empty(Sweep.config and Sweep.config.hydra.sweep.dir)
+        if Sweep.config is None:
             PROGRESS.close()  # so that the line is the last one
         print(fit_stderr(line), file=sys.stderr)
-        sys.exit(1 if diverged else 2)
+        sys.exit(1 if _diverged(error) else 2)
+
+
+def _diverged(error: BaseException) -> bool:
+    """Tell whether a computation ran away; the class of its error would cost every command the import of torch."""
+    return type(error).__name__ == "Diverged"
 
 
 def _refusal_file(folder: Path) -> Path:
@@ -308,75 +291,72 @@ def remove_empty(folder: str | Path | None) -> None:
             folder.parent.rmdir()
 
 
-def _resolve_latest(word: str) -> str:
-    """Return a word of a command line: `run=latest` is the newest run of runs/, `run=latest~1` the one before it."""
-    asked = re.fullmatch(r"(run|resume)=latest(?:~(\d+))?", word)
-    if asked is None:
-        return word
-    files = sorted(Path("runs").glob("**/config.yaml"), key=lambda file: file.stat().st_mtime, reverse=True)
-    place = int(asked[2] or 0)
-    if place >= len(files):
-        raise ValueError(f"{word} is none of the {len(files)} runs in runs/ of this folder; give {asked[1]}=FOLDER")
-    print(f"{asked[1]}={files[place].parent}", flush=True)
-    return f"{asked[1]}={_quoted(str(files[place].parent))}"
+def _changed_dtype() -> str:
+    """Return that a part of the user's made another number type torch's default; '' if it is as it was."""
+    torch = sys.modules.get("torch")
+    if not hasattr(torch, "get_default_dtype") or (kind := torch.get_default_dtype()) == torch.float32:
+        return ""
+    return f"a part of yours called torch.set_default_dtype({kind}), which all others use; leave it out of the plant"
 
 
-def complete(words: list[str]) -> list[str]:
-    """Return the words of a command with what they imply: the folder that Hydra is to use, and the plant of a model.
+def of_user(error: BaseException) -> str:
+    """Return what went wrong in code of the user's, as a plant, that the package called; '' where nothing did."""
+    cause: BaseException | None = error
+    while cause is not None:
+        frames = [(frame, Path(frame.f_code.co_filename)) for frame, _ in traceback.walk_tb(cause.__traceback__)]
+        inside = next((k for k, (_, file) in enumerate(frames) if file.is_relative_to(PACKAGE)), len(frames))
+        for frame, file in reversed(frames[inside:]):
+            if not (OTHERS.search(str(file)) or file.is_relative_to(PACKAGE) or file.is_relative_to(SCRIPTS)):
+                said = f"{type(cause).__name__}: {' '.join(str(cause).split())}".rstrip(": ")
+                place = f"{frame.f_code.co_qualname} failed in {file.name}, line {frame.f_lineno}"
+                return f"{place} ({said}); mend it there; DYNASINDY_TRACEBACK=1 shows the way there"
+        # What has a sentence of its own is told by that.
+        cause = cause.__cause__ if isinstance(cause, RuntimeError | MemoryError | InstantiationException) else None
+    return ""
 
-    The same sweep has the same folder, so that the same command goes on with it; a resumed run keeps its own. A model
-    that is given without data and without a plant, `model=model.json`, stands in the place of a log's.
+
+def in_words(error: BaseException, settings: object = None) -> str:
+    """Return the innermost message of an error on one line, with what to do; '' if it is none that the user can mend.
+
+    A key that takes its value from another one in the `settings` of the command is named as that one.
     """
-    implied = []
-    given = dict(word.split("=", 1) for word in words if "=" in word)
-    folder = given.get("resume", "null").strip("'\"")
-    if given.get("model", "null") not in ("null", "") and not {"data", "system", "resume"} & set(given):
-        implied.append("system=logged")
-    if folder not in ("null", ""):
-        if not (Path(folder) / "config.yaml").is_file():
-            raise FileNotFoundError(
-                f"resume={folder} is no run folder, it has no config.yaml; give the folder that train.py printed"
-            )
-        implied.append(f"hydra.run.dir={_quoted(folder)}")
-    elif {"-m", "--multirun"} & set(words) and "hydra.sweep.dir" not in given:
-        settings = [word for word in words if "=" in word and not word.startswith("hydra")]
-        digest = hashlib.blake2b(" ".join(settings).encode(), digest_size=3).hexdigest()
-        readable = re.sub(r"[^A-Za-z0-9.]+", "-", "_".join(settings).replace("=", "-")).strip("-.")
-        implied.append(f"hydra.sweep.dir='runs/{readable[:80]}_{digest}'")
-    # Behind the last setting: Hydra reads none that an option, as --config-dir, parts from the others.
-    end = max((place + 1 for place, word in enumerate(words) if "=" in word and word[0] != "-"), default=len(words))
-    return [*words[:end], *implied, *words[end:]]
-
-
-def as_text(word: str) -> str:
-    """Return a word of a command line as Hydra reads it: a value or an item of a list that it cannot read is text.
-
-    The shell takes away the quotation marks of `data.time="Time [ms]"`, and a bracket within a value is none that Hydra
-    knows. What has brackets that are not closed is left as it is, to be refused.
-    """
-    key, _, value = word.partition("=")
-    closed = all(value.count(a) == value.count(b) for a, b in ("[]", "()", "{}"))
-    if word.startswith("-") or not value or not closed or _parses(word):
-        return word
-    if value[0] == "[" and value[-1] == "]":
-        items = [item.strip() for item in re.split(r",(?![^\[({]*[\])}])", value[1:-1])]
-        value = f"[{','.join(item if _parses(f'{key}={item}') else _quoted(item) for item in items)}]"
-    elif value[0] not in "[{('\"":
-        value = _quoted(value)
-    made = f"{key}={value}"
-    return made if _parses(made) else word
-
-
-def _parses(word: str) -> bool:
-    """Tell whether Hydra can read a word."""
-    try:
-        OverridesParser.create().parse_override(word)
-    except HydraException:
-        return False
-    return True
-
-
-def _quoted(folder: str) -> str:
-    """Return a path as Hydra's grammar takes any text."""
-    escaped = folder.replace("\\", "\\\\").replace("'", "\\'")
-    return f"'{escaped}'"
+    while isinstance(error, InstantiationException) and error.__cause__ is not None:
+        error = error.__cause__
+    if isinstance(error, BrokenPipeError):
+        raise error
+    words = str(error).strip("'\"") if isinstance(error, KeyError) else str(error)
+    text = " ".join(words.split()).partition(" Config search path:")[0]
+    if place := _changed_dtype() or of_user(error):
+        return place
+    if is_memory_error(error):
+        wanted = memory_wanted(error)
+        said = f": {wanted} more were wanted" if wanted else f": {text}" if text and type(error) is MemoryError else ""
+        lower = "lower counts and sizes, such as replay.capacity, planning.rollouts, agent.hidden or draws, or log less"
+        return f"memory ran out{said}; {lower}, or allow this command more (ulimit -v)"
+    if not (isinstance(error, MENDABLE) or _diverged(error)):
+        return ""
+    if isinstance(error, OSError) and error.strerror:
+        # Of a connection, which is no file, the system names none.
+        place = f"{error.filename}: " if error.filename is not None else ""
+        return f"{place}{error.strerror}; choose another"
+    if isinstance(error, yaml.MarkedYAMLError) and (mark := error.problem_mark) is not None:
+        where = f"{mark.name}, line {mark.line + 1}"
+        return f"{where}: {error.problem}; mend the file, in which blanks tell what belongs where"
+    if isinstance(error, OverrideParseException):
+        return (
+            f"'{error.override}' cannot be read; write key=value, close all brackets and quotes, and put a word with "
+            "brackets, quotes, commas or blanks between quotes of the shell, such as 'plant.outputs=[angle]'"
+        )
+    engine = re.search(r"Could not find 'hydra/launcher/([a-z]+)", text)
+    module = engine[1] if engine else str(getattr(error, "name", None)).partition(".")[0]
+    if module in EXTRAS:
+        instead = ", or choose hydra/launcher=basic" * bool(engine)
+        return f"{module} is not installed; install it by pip install 'dynasindy[{EXTRAS[module]}]'{instead}"
+    if isinstance(error, MissingConfigException) and error.options:
+        group, _, option = str(error.missing_cfg_file).rpartition("/")
+        return unknown_name(option, (choice for choice in error.options if not choice.startswith("_")), group)
+    if lacking := re.search(r"Missing mandatory value: ([\w.]+)", text):  # also where another key takes it from there
+        return f"{lacking[1]} is not given; give {lacking[1]}=VALUE, of which --help says more"
+    if deleted := next((word for word in sys.argv[1:] if word.startswith("~")), ""):
+        return f"{deleted} takes away what the command reads ({text}); leave it out, or give the key another value"
+    return re.sub(r"\b[a-z_]+(?:\.[a-z_]+)+\b", lambda key: taken_from(key[0], settings) or key[0], text)

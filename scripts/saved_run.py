@@ -9,12 +9,12 @@ from typing import Any
 
 import torch
 from cli import CONF, IN_CLONE, group_options, program
-from errors import compose, unknown_name
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from settings import check
 from trust import plugins_of, read_config, require_trusted
+from words import compose, unknown_name
 
 from dynasindy.control import load
 from dynasindy.control.files import NAME

@@ -13,10 +13,9 @@ from itertools import chain
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints, is_typeddict
 
-from cli import plant_settings
-from errors import unknown_name
+from cli import CONF
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import InterpolationResolutionError, InterpolationToMissingValueError
+from omegaconf.errors import InterpolationToMissingValueError
 from pydantic import (
     AfterValidator,
     BeforeValidator,
@@ -30,6 +29,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from trust import nodes
 from typing_extensions import TypedDict
+from words import unknown_name
 
 from dynasindy.identification.source import DataSource
 from dynasindy.sindy import WorldModel
@@ -70,6 +70,10 @@ TOP: dict[str, Any] = {
     **{"evaluation.every": Annotated[int, Field(ge=1)], "checkpoint.every": Annotated[int, Field(ge=0)]},
     **{"evaluation.within": Annotated[float, Field(gt=0)], "dt": Seconds, "seconds": Seconds | None, "flights": int},
     **{"targets": Annotated[list[list[float]], SOME] | None, "planner": dict[str, Any] | None},
+    **{"low": list[float] | None, "high": list[float] | None, "reach": float, "fmi": Literal[2, 3]},
+    # Their number grows with the power of the outputs, and flights with the square of the grid.
+    **{"points": Annotated[int, range(1, 51)], "grid": Annotated[int, range(2, 101)]},
+    **{"draws": Annotated[int, range(10_001)]},
 }
 """Keys of any command's config, besides those of what it builds, and those whose types import TorchRL."""
 IMPORTED = {
@@ -78,22 +82,14 @@ IMPORTED = {
     "level": "dynasindy.evaluation.ablation.Level",
 }
 """Keys whose types are imported where they are given."""
-EXPORTING: dict[str, Any] = {
-    **{"formats": list[Literal["c", "onnx", "fmu", "model"]], "folder": str | None, "fmi": Literal[2, 3]},
-}
-CHECKING: dict[str, Any] = {
-    **{"low": list[float] | None, "high": list[float] | None, "folder": str | None, "reach": float},
-    # Their number grows with the power of the outputs, and flights with the square of the grid.
-    **{"points": Annotated[int, range(1, 51)], "grid": Annotated[int, range(2, 101)]},
-    **{"draws": Annotated[int, range(10_001)]},
-}
+EXPORTING: dict[str, Any] = {"formats": list[Literal["c", "onnx", "fmu", "model"]]}
+"""What keys of export allow beside those of other commands."""
 
 
 def check(cfg: DictConfig, file: str = "") -> None:
     """Check every value of a composed config, and make numbers of those that were written as text.
 
-    One that was read from a `file`, a finished run's, has all parts of an experiment; settings that are gone since are
-    taken out of it where they are null, and refused otherwise.
+    One that was read from a `file`, a finished run's, has all parts of an experiment.
     """
     raw: Any = OmegaConf.to_container(cfg, resolve=False)
     if isinstance(raw.get("system"), dict) and raw["system"].keys() & {"system", "plant"}:
@@ -102,8 +98,6 @@ def check(cfg: DictConfig, file: str = "") -> None:
             "let '# @package _global_' be the first line of the file that `system=` names"
         )
     try:
-        for node, name in [*_gone(cfg)] if file else ():
-            del node[name]
         tree: Any = OmegaConf.to_container(cfg, resolve=True)
         if "train" not in tree and not file and (tree.get("data") or {}).get("path"):
             tree.pop("excitation", None)  # nothing is excited where there is a log
@@ -117,18 +111,14 @@ def check(cfg: DictConfig, file: str = "") -> None:
             register_function(name, formula)  # of the user's own, which the library of the plant may hold
     except InterpolationToMissingValueError:  # a log's config names no plant yet, and the command says which there are
         return
-    except InterpolationResolutionError as error:
-        for part in str(error.full_key).split("."):
-            raw = raw[part]
-        what = f"{error.full_key} is taken from {str(raw).strip('${}')}"
-        raise ValueError(f"{what}, which is not given, or no group of keys; give the keys as conf/ does") from error
     except ValueError as error:
         raise ValueError(f"{file}: {error}" if file else str(error)) from error
 
 
 def _require_plant_settings(plant: Any, text: str) -> None:
     """Refuse settings of a plant that nothing reads."""
-    read = {*PLANT, *map("plant.{}".format, plant_settings()), *re.findall(r"\bplant(?:\.\w+)+", text)}
+    conf = " ".join(file.read_text() for file in CONF.rglob("*.yaml"))
+    read = {*PLANT, "plant.functions", "plant.libraries", *re.findall(r"\bplant(?:\.\w+)+", conf + text)}
     for group, node in nodes({"plant": plant}):
         allowed = {key.removeprefix(f"{group}.").partition(".")[0] for key in read if key.startswith(f"{group}.")}
         for name in node if group in ("plant", "plant.signals") else ():
@@ -138,7 +128,7 @@ def _require_plant_settings(plant: Any, text: str) -> None:
 
 def _hints(tree: Mapping[str, Any], finished: bool) -> dict[str, Any]:
     """Return what the keys of a config allow that are no arguments; TorchRL is imported for those that need it."""
-    hints = TOP | (EXPORTING if "fmi" in tree else {}) | (CHECKING if "draws" in tree else {})
+    hints = TOP | (EXPORTING if "fmi" in tree else {}) | ({"folder": str | None} if "run" in tree else {})
     if "train" in tree or finished:  # elsewhere a plant has words for the task of an experiment, which is not built
         from dynasindy.dyna.experiment import Recipe
 
@@ -179,15 +169,6 @@ def _arguments(tree: Any) -> Iterator[tuple[str, Any, Any]]:
         for name in sorted(required - given.keys() - (GIVEN if node.get("_partial_") else set())):
             raise ValueError(f"{group}.{name} is not given; give it, as conf/ does")
         yield from ((f"{group}.{name}", value, hints.get(name, Any)) for name, value in given.items() if value != "???")
-
-
-def _gone(cfg: DictConfig) -> Iterator[tuple[Any, str]]:
-    """Yield groups of a config and settings in them that are null and that what they build does not take (any more)."""
-    for group, node in nodes(OmegaConf.to_container(cfg, resolve=False)):
-        if "_target_" in node:
-            hints, _, free = parameters(_builder(node, group))
-            for name in (name for name, value in node.items() if value is None and name not in hints and not free):
-                yield OmegaConf.select(cfg, group), name
 
 
 @cache
@@ -248,10 +229,9 @@ def _checked(hint: Any) -> Any:
         limits: list[Any] = [AfterValidator(partial(_within, limit)) for limit in options if isinstance(limit, range)]
         limits += [each for each in options[1:] if isinstance(each, FieldInfo)]
         return Annotated[(_checked(options[0]), *limits)] if limits else _checked(options[0])
-    if kind in (Union, UnionType):
-        return Union[tuple(map(_checked, options))]  # noqa: UP007
-    if kind in (dict, list, tuple):
-        return kind[tuple(each if each is Ellipsis else _checked(each) for each in options)] if options else kind
+    if kind in (Union, UnionType, dict, list, tuple) and options:
+        inner = tuple(each if each is Ellipsis else _checked(each) for each in options)
+        return (Union if kind is UnionType else kind)[inner]
     if is_typeddict(kind):
         made = TypedDict("group", {k: NotRequired[_checked(h)] for k, h in get_type_hints(kind).items()})  # type: ignore[operator]
         made.__pydantic_config__ = ConfigDict(extra="forbid")
@@ -261,7 +241,7 @@ def _checked(hint: Any) -> Any:
         float: Annotated[Any, PlainValidator(_number)],
         str: Annotated[str, Field(coerce_numbers_to_str=True)],
         bool: StrictBool,
-        **dict.fromkeys((NoneType, Any, Literal, object), hint),
+        **dict.fromkeys((NoneType, Any, Literal, object, dict, list, tuple), hint),
     }
     return plain.get(kind, Annotated[Any, PlainValidator(partial(_require_builder, hint))])
 

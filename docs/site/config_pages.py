@@ -22,7 +22,7 @@ import yaml
 REPOSITORY = Path(__file__).parents[2]
 sys.path += [str(REPOSITORY), str(REPOSITORY / "scripts")]  # MkDocs takes them back when this file is read
 from cli import heading  # noqa: E402
-from settings import CHECKING, EXPORTING, LARGEST, TOP, parameters  # noqa: E402
+from settings import EXPORTING, LARGEST, TOP, parameters  # noqa: E402
 
 CONF = REPOSITORY / "conf"
 GROUPS = {
@@ -224,7 +224,7 @@ def words(hint: Any) -> str:
 
 def _top(command: str) -> Mapping[str, Any]:
     """Return the annotations of the keys at the top of a command's config."""
-    return TOP | {"export": EXPORTING, "check": CHECKING}.get(command, {})
+    return TOP | (EXPORTING if command == "export" else {})
 
 
 def _typed(kind: Any) -> Mapping[str, Any]:

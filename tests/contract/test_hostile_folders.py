@@ -71,7 +71,7 @@ def read(run, capsys):
     """Return the one line by which every command refuses the folder as it reads it, here without its process."""
 
     def line():
-        with pytest.raises(SystemExit) as ended, one_line("evaluate"):
+        with pytest.raises(SystemExit) as ended, one_line():
             load_policy(load_config(run), run)
         said = capsys.readouterr().err
         assert ended.value.code == 2 and said.startswith("error: ") and said.count("\n") == 1

@@ -7,49 +7,47 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 
 
 @pytest.fixture
-def as_text(monkeypatch):
-    """Return the function that reads a word."""
+def words(monkeypatch):
+    """Return the module that reads the words of a command line."""
     monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "scripts")
-    import command
+    import words
 
-    return command.as_text
-
-
-@pytest.fixture
-def completed(monkeypatch):
-    """Return the words of a command with what they imply."""
-    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "scripts")
-    import command
-
-    def complete(*words):
-        return command.complete([*words])
-
-    return complete
+    return words
 
 
 @pytest.mark.parametrize("options", [[], ["--config-dir", "own"], ["--config-dir=own"], ["--config-dir", "own", "-v"]])
-def test_settings_that_are_implied_stand_behind_those_that_were_given(completed, options):
-    given = ["targets=[1]", "model=a.json"]
-    assert completed(*given, *options) == [*given, "system=logged", *options]
+def test_settings_stand_before_options_with_those_that_are_implied(words, options, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    options = [option for option in options if option != "-v"]
+    given = ["plant.outputs=[a]", "model=a.json"]
+    assert words.read_words("train", [*options, *given]) == [*given, "system=logged", *options]
+    assert words.read_words("train", [given[0], *options, given[1]]) == [*given, "system=logged", *options]
 
 
-def test_a_sweep_has_the_folder_of_its_settings_wherever_its_options_stand(completed):
-    *before, folder, option, own = completed("-m", "seed=0,1", "--config-dir", "own")
-    assert before == ["-m", "seed=0,1"] and [option, own] == ["--config-dir", "own"]
+def test_a_sweep_has_the_folder_of_its_settings_wherever_its_options_stand(words):
+    setting, folder, *options = words.read_words("train", ["-m", "seed=0,1", "--config-dir", "own"])
+    assert setting == "seed=0,1" and options == ["-m", "--config-dir", "own"]
     assert folder.startswith("hydra.sweep.dir='runs/seed-0-1_")
-    options = ["--config-dir", "own", "-m"]
-    assert completed("seed=0,1", *options) == ["seed=0,1", folder, *options]
-    assert completed("-m", "seed=0,2")[2] != folder
-    assert completed("-m")[1].startswith("hydra.sweep.dir=")
-    assert completed("-m", "seed=0,1", "hydra.sweep.dir=mine") == ["-m", "seed=0,1", "hydra.sweep.dir=mine"]
+    assert words.read_words("train", ["seed=0,1", "-m"])[1] == folder
+    assert words.read_words("train", ["-m", "seed=0,2"])[1] != folder
+    assert words.read_words("train", ["-m"])[0].startswith("hydra.sweep.dir=")
+    mine = ["seed=0,1", "hydra.sweep.dir=mine", "-m"]
+    assert words.read_words("train", mine) == mine
 
 
-def test_a_run_that_is_resumed_keeps_its_folder(completed, tmp_path):
+def test_a_run_that_is_resumed_keeps_its_folder(words, tmp_path):
     with pytest.raises(FileNotFoundError, match=r"config\.yaml"):
-        completed(f"resume={tmp_path}")
+        words.read_words("train", [f"resume={tmp_path}"])
     (tmp_path / "config.yaml").touch()
-    line = completed(f"resume={tmp_path}", "--config-dir", "own")
+    line = words.read_words("train", [f"resume={tmp_path}", "--config-dir", "own"])
     assert line == [f"resume={tmp_path}", f"hydra.run.dir='{tmp_path}'", "--config-dir", "own"]
+
+
+def test_a_setting_that_no_file_of_its_plant_gives_is_added_and_no_other(words):
+    given = ["system=pendulum", "plant.bounds={theta: 2}", "plant.low=[-1]", "+plant.start={theta: 1}", "seed=1"]
+    assert words.read_words("train", given) == [given[0], "++plant.bounds={theta: 2}", *given[2:]]
+    with pytest.raises(ValueError, match=r"'plant\.low' does not exist"):
+        words.read_words("export", ["plant.low=[1]"])
 
 
 @pytest.mark.parametrize(
@@ -62,6 +60,6 @@ def test_a_run_that_is_resumed_keeps_its_folder(completed, tmp_path):
         ("plant.low=[-0.5,1]", {"plant.low": [-0.5, 1]}),
     ],
 )
-def test_a_heading_with_brackets_is_text_though_the_shell_took_its_quotation_marks(as_text, word, read):
-    (found,) = OverridesParser.create().parse_overrides([as_text(word)])
+def test_a_heading_with_brackets_is_text_though_the_shell_took_its_quotation_marks(words, word, read):
+    (found,) = OverridesParser.create().parse_overrides([words.as_text(word)])
     assert {found.key_or_group: found.value()} == read
