@@ -15,10 +15,11 @@ BENCHMARKS = ("gradient", "identify", "logs", "peers", "plants", "rigs")
 """Modules of `benchmarks`, each with a `main` and with `add_options` for its command line."""
 
 
-def parse(name: str, argv: Sequence[str], program: str = "benchmark.py") -> argparse.Namespace:
+def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
     """Return what a command line gives a benchmark; a mistake or `--help` ends the program."""
     module = importlib.import_module(f"benchmarks.{name}")
-    parser = argparse.ArgumentParser(prog=f"{program} {name}", description=(module.__doc__ or "").partition("\n\n")[0])
+    described = (module.__doc__ or "").partition("\n\n")[0]
+    parser = argparse.ArgumentParser(prog=f"{program('benchmark')} {name}", description=described)
     module.add_options(parser)
     return parser.parse_args(argv)
 
@@ -32,12 +33,12 @@ def main() -> None:
             return
         if name not in BENCHMARKS:
             refuse(f"there is no benchmark '{name}'; choose one of: {', '.join(BENCHMARKS)}")
-        arguments = parse(name, words, program("benchmark"))
-        if arguments.out is not None:
-            try:
+        arguments = parse(name, words)
+        try:
+            if arguments.out is not None:
                 require_writable(arguments.out.parent)
-            except OSError as error:
-                refuse(f"--out {arguments.out} cannot be written: {error.strerror}; choose another")
+        except OSError as error:
+            refuse(f"--out {arguments.out} cannot be written: {error.strerror}; choose another")
         importlib.import_module(f"benchmarks.{name}").main(arguments)
 
 

@@ -47,21 +47,16 @@ def _range_and_start(cfg: Any, run: Path) -> dict[str, Any]:
     from dynasindy.safe_io import reading
 
     file = (run if run.is_dir() else run.parent) / "config.yaml"
-    absent = [side for side in ("low", "high") if cfg[side] is None]
-    if absent and not file.is_file():
-        raise ValueError(
-            f"{absent[0]} is not given, and there is no {file} to read it from; give {absent[0]}=[...] of the targets"
-        )
     with reading(file):
         settings: Any = OmegaConf.to_container(read_config(file)) if file.is_file() else {}
         plant, task = settings.get("plant") or {}, settings.get("task") or {}
-        found: dict[str, Any] = {
-            side: tuple(map(float, plant[side] if side in absent else cfg[side])) for side in ("low", "high")
-        }
+        found: dict[str, Any] = {s: tuple(map(float, cfg[s] or plant.get(s) or ())) for s in ("low", "high")}
         for key in ("start", "bounds"):
             states = task.get(key) or plant.get(key) or {}
             found[key] = {n: float(end) if isinstance(end, int | float) else list(end) for n, end in states.items()}
-        return found
+    if not (found["low"] and found["high"]):
+        raise ValueError(f"{file} holds no plant.low and plant.high; give low=[...] and high=[...] of the targets")
+    return found
 
 
 if __name__ == "__main__":

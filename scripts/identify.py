@@ -84,9 +84,6 @@ def next_command(cfg: Any, found: Identified) -> str:
         does += "; this model does not predict, so mend first what is said above"
     of_data = () if source.logged else ("data", "refinement", "source")  # what is said of simulated data
     plan = without(job.overrides.task, "folder", "hydra", "formats", *of_data)
-    system = job.runtime.choices.system
-    if not source.logged and system and not any(word.lstrip("+~").startswith("system=") for word in plan):
-        plan.insert(0, f"system={system}")
     plan += [command_word(f"plant.{key}", values) for key, values in targets.items()]
     return command_line("train", plan, does)
 

@@ -103,7 +103,8 @@ def plan_from_log(cfg: DictConfig) -> bool:
     if "rates" not in cfg.plant:  # nor where they are to be given
         OmegaConf.update(cfg, "plant.rates", damped(cfg.plant.outputs, rates_of(model)), force_add=True)
     task = instantiate(cfg.task, _convert_="all")(signature=model.signature)
-    (folder / "metrics.json").unlink(missing_ok=True)  # of other settings
+    for name in ("metrics.json", NAME):  # of other settings
+        (folder / name).unlink(missing_ok=True)
     write_text(folder / "config.yaml", settings)  # before the plan, which may fail
     write_json(folder / "origin.json", {**command_and_commit(HydraConfig.get()), "read": read})
     model.save(folder / "model.json")
@@ -111,22 +112,18 @@ def plan_from_log(cfg: DictConfig) -> bool:
         dt, why = suited_period(model, task, source)
         say(*lines([why] if why else []))
     say(*lines(filter(None, [refit_shortage(model, source)])))
-    saved = False
     try:
         controller = plan(model, task, source, parts["sensors"], dt, cfg.seed, **planning)
         save(controller, folder / NAME)  # before the forecast, which may fail
-        saved = True
         scenario = replace(parts["scenario"], seconds=None, lengths=1.0)  # as long as the task's episodes
         prediction = forecast(controller, model, source, scenario, cfg.seed, cfg.evaluation.get("within", WITHIN))
     except (KeyboardInterrupt, Exception) as stop:
-        if saved:
+        if (folder / NAME).is_file():
             say(f"Controller: {folder / NAME}, of which nothing is promised")
         if not isinstance(stop, KeyboardInterrupt):
             raise
-        file = folder / "model.json"
-        again = command_line("train", [*without(words, "model"), f"model={file}"])
-        without_it = "" if saved else ", but no controller yet"
-        line = f"stopped; the equations are kept in {file}{without_it}; plan on them without a new fit: {again}"
+        again = command_line("train", [*without(words, "model"), f"model={folder / 'model.json'}"])
+        line = f"stopped; the equations are kept, plan on them without a new fit: {again}"
         raise Stopped(line, getattr(stop, "signal", 2)) from stop
     write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})
     if prediction.evaluation:

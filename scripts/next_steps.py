@@ -54,16 +54,16 @@ def improvements(
     if checked:
         lines.append(command_line("check", [f"run={folder}"], "tells at which targets the loop is weak, and how"))
     if episodes is not None and not any(word.startswith("resume=") for word in words):
-        more, does = f"train.episodes={max(3, 2 * episodes)}", "flies more episodes, whose data mend the model"
+        key, value, does = "train.episodes", max(3, 2 * episodes), "flies more episodes, whose data mend the model"
         if imagined is not None and imagined > WITHIN:  # where the model is not what fails
-            more = "planning.updates=3000"
+            key, value = "planning.updates", 3000
             does = f"plans longer: in the model, too, targets are missed by {100 * imagined:.2g} %"
-        kept = without([word for word in words if word not in SMOKE], more.partition("=")[0], "folder", "finish")
-        lines.append(command_line("train", [*kept, more], does))
+        kept = without([word for word in words if word not in SMOKE], key, "folder", "finish")
+        lines.append(command_line("train", [*kept, f"{key}={value}"], does))
     if episodes is None and any(word.startswith("data.path=") for word in words):
+        others = without(words, *IDENTIFYING)
         lacks = "tells what the log lacks: what to record, or which functions"
-        kept = [word for word in words if re.split(r"[=./]", word.lstrip("+~"))[0] in IDENTIFYING]
-        lines.append(command_line("identify", kept, lacks))
+        lines.append(command_line("identify", [word for word in words if word not in others], lacks))
     return next_steps(*lines)
 
 

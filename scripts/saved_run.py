@@ -103,10 +103,8 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
         raise FileNotFoundError(f"{folder} is not a run folder, it has no config.yaml; give one that train.py printed")
     config = read_config(file)
     if kinds := [what for key, what in NO_PLANT.items() if config.get(key) is not None]:
-        goes_on = f"its command in {folder / 'origin.json'} with model={folder / 'model.json'} plans on its equations"
         told = f"{program('check')} run={folder} tells what its controller does on the model"
-        ended = (folder / "metrics.json").is_file() or config.get("rig") is not None
-        raise ValueError(f"{folder} {kinds[0]}, so there is no simulated plant to fly; {told if ended else goes_on}")
+        raise ValueError(f"{folder} {kinds[0]}, so there is no simulated plant to fly; {told}")
     require_trusted(OmegaConf.to_container(config, resolve=False), plugins, str(file))
     if absent := [part for part in ("system", "task", "env", "agent", "plant") if not config.get(part)]:
         raise ValueError(f"{file} is not of a run, it has no {absent[0]}; give a folder that train.py printed")
