@@ -9,7 +9,6 @@ import argparse
 import ast
 import os
 import re
-import shutil
 import signal
 import sys
 import textwrap
@@ -30,8 +29,8 @@ SCRIPTS = Path(__file__).resolve().parent
 CONF = SCRIPTS.parent / "conf"
 IN_CLONE = (SCRIPTS.parent / "pyproject.toml").is_file()
 HELP = ("-h", "--help")
-WIDEST = 110
-"""Columns that a line of help takes at most, also where the terminal is wider."""
+WIDTH = 100
+"""Columns of the help that are not those of a file."""
 
 
 def exit_at_once(number: int, frame: FrameType | None) -> None:
@@ -167,17 +166,16 @@ def purpose(name: str) -> str:
     return words.replace(f"python scripts/{name}.py", program(name))
 
 
-def config_dir(words: Sequence[str]) -> str | None:
-    """Return the folder of the user's own settings, if a command line names one."""
+def config_dir() -> str | None:
+    """Return the folder of the user's own settings, if the command line names one."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--config-dir", "-cd")
-    return parser.parse_known_args(words)[0].config_dir
+    return parser.parse_known_args()[0].config_dir
 
 
 def group_options(group: str) -> dict[str, Path]:
     """Return the files of a group by their names, the user's own too; those with an underscore are parts of others."""
-    own = config_dir(sys.argv[1:])
-    folders = [CONF, Path(own)] if own else [CONF]
+    folders = [CONF, Path(config_dir() or CONF)]
     return {file.stem: file for folder in folders for file in sorted((folder / group).glob("[!_]*.yaml"))}
 
 
@@ -194,17 +192,17 @@ def help_page(name: str, words: Sequence[str]) -> str:
         asked += [f"{group}={each}\n{textwrap.indent(shown(file), '    ')}" for each, file in files.items()]
     if asked:
         return "\n\n".join(asked)
-    chosen, columns = _defaults(CONF / f"{name}.yaml"), min(shutil.get_terminal_size((WIDEST, 24)).columns, WIDEST)
+    chosen = _defaults(CONF / f"{name}.yaml")
     changing = [groups[group][chosen[group]] for group in ("experiment", "setting") if group in chosen]
     for file in changing:
         chosen |= _defaults(file)
-    used = {group: option for group, option in chosen.items() if group in groups}
-    lines = textwrap.wrap(purpose(name), columns)
+    used = [group for group in chosen if group in groups]
+    lines = [textwrap.fill(purpose(name), WIDTH)]
     lines += ["", f"What it is made of; `{program(name)} GROUP[=OPTION] --help` says more:"] if used else []
-    for group, option in used.items():
-        others = ", ".join(other for other in groups[group] if other != option)
-        text = f"{group}={option}".ljust(20) + f"  or {others}"
-        lines += textwrap.wrap(text, columns, initial_indent="  ", subsequent_indent=" " * 27)
+    for group in used:
+        others = ", ".join(other for other in groups[group] if other != chosen[group])
+        text = f"  {group}={chosen[group]}".ljust(22) + f"  or {others}"
+        lines.append(textwrap.fill(text, WIDTH, subsequent_indent=" " * 27))
     bases = [base for base in (CONF / f"{each}.yaml" for each in chosen) if base.is_file()]
     for file in (*bases, CONF / f"{name}.yaml", *changing):
         lines += ["", f"Settings, from {file.relative_to(CONF.parent)}:", "", _settings(file)]
@@ -214,15 +212,11 @@ def help_page(name: str, words: Sequence[str]) -> str:
 
 def _defaults(file: Path) -> dict[str, str]:
     """Return which option of each group a file chooses, "" for a file that it begins with, whose own come first."""
-    import yaml
-
     chosen: dict[str, str] = {}
-    for entry in (yaml.safe_load(file.read_text()) or {}).get("defaults", ()):
-        if isinstance(entry, dict):
-            chosen |= {key.removeprefix("override ").lstrip("/"): str(option) for key, option in entry.items()}
-        elif (base := file.parent / f"{entry}.yaml").is_file():
-            chosen |= {**_defaults(base), entry: ""}
-    return {group: option.replace("None", "null") for group, option in chosen.items()}
+    for group, option in re.findall(r"^  - (?:override )?/?(\w+)(?:: (\w+))?$", file.read_text(), re.M):
+        base = file.parent / f"{group}.yaml"
+        chosen |= {**(_defaults(base) if base.is_file() and not option else {}), group: option}
+    return chosen
 
 
 def _settings(file: Path) -> str:

@@ -2,7 +2,6 @@
 
 import re
 import shlex
-import sys
 from collections.abc import Sequence
 
 from cli import config_dir, program
@@ -21,7 +20,7 @@ IDENTIFYING = ("system", "data", "plant", "world_model", "refinement", "source",
 
 def command_line(name: str, words: Sequence[str], comment: str = "") -> str:
     """Return a command as a shell takes it, with the folder of the user's own settings, and what comes of it."""
-    folder = config_dir(sys.argv[1:])
+    folder = config_dir()
     own = ["--config-dir", folder] if folder else []
     line = " ".join([program(name), *map(shlex.quote, [*own, *words])])
     return f"{line}  # {comment}" if comment else line

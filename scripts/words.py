@@ -2,7 +2,6 @@
 
 import hashlib
 import re
-import sys
 from argparse import Namespace
 from collections.abc import Iterable
 from pathlib import Path
@@ -88,7 +87,7 @@ def require_keys(config_name: str, settings: list[str]) -> list[str]:
     if not settings:
         return []
     found = dict(zip(settings, OverridesParser.create().parse_overrides(settings)))
-    folders = [CONF, Path(config_dir(sys.argv[1:]) or CONF)]
+    folders = [CONF, Path(config_dir() or CONF)]
     groups = [w for w, o in found.items() if any((folder / o.key_or_group).is_dir() for folder in folders)]
     groups += [word for word in settings if word.startswith("hydra/")]
     keys = {w: o.key_or_group for w, o in found.items() if w not in groups and not o.key_or_group.startswith("hydra.")}
@@ -126,7 +125,7 @@ def _misspelt(key: str, names: list[str]) -> str:
 
 def compose(config_name: str | None, settings: list[str]) -> DictConfig:
     """Return a config as Hydra composes it of settings, with the folder of the user's own as the command names it."""
-    own = config_dir(sys.argv[1:])
+    own = config_dir()
     folder = [f"hydra.searchpath=[file://{Path(own).absolute()}]"] if own else []
     GlobalHydra.instance().clear()
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
