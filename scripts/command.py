@@ -13,6 +13,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from importlib.metadata import requires
 from pathlib import Path
 from typing import ClassVar
 
@@ -56,11 +57,6 @@ MENDABLE = (
     *(yaml.YAMLError, ValueError, TypeError, KeyError, OSError, ModuleNotFoundError),
     *(HydraException, OmegaConfBaseException),
 )
-EXTRAS = {
-    **{"joblib": "sweep", "submitit": "slurm", "ray": "ray", "tensorboard": "tensorboard"},
-    **{"casadi": "export", "control": "export", "onnx": "export"},
-}
-"""Optional packages by the first word of a launcher or module, and the extra of ours that installs them."""
 PROGRESS = ExitStack()
 """What shows the work of the command."""
 ONE_TASK = {"seed", "setting", "agent", "planning", "evaluation", "scenario", "train", "replay", "gate", "threads"}
@@ -320,12 +316,15 @@ def in_words(error: BaseException, settings: object = None) -> str:
 
     A key that takes its value from another one in the `settings` of the command is named as that one.
     """
+    if isinstance(error, SystemExit):
+        return of_user(error)
     while isinstance(error, InstantiationException) and error.__cause__ is not None:
         error = error.__cause__
     if isinstance(error, BrokenPipeError):
         raise error
     words = str(error).strip("'\"") if isinstance(error, KeyError) else str(error)
     text = " ".join(words.split()).partition(" Config search path:")[0]
+    text = re.sub(r'^\[Errno -?\d+\] |(?<=in )"|"(?=, line )', "", text)  # in "my.yaml", line 2
     if place := _changed_dtype() or of_user(error):
         return place
     if is_memory_error(error):
@@ -335,23 +334,15 @@ def in_words(error: BaseException, settings: object = None) -> str:
         return f"memory ran out{said}; {lower}, or allow this command more (ulimit -v)"
     if not (isinstance(error, MENDABLE) or _diverged(error)):
         return ""
-    if isinstance(error, OSError) and error.strerror:
-        # Of a connection, which is no file, the system names none.
-        place = f"{error.filename}: " if error.filename is not None else ""
-        return f"{place}{error.strerror}; choose another"
-    if isinstance(error, yaml.MarkedYAMLError) and (mark := error.problem_mark) is not None:
-        where = f"{mark.name}, line {mark.line + 1}"
-        return f"{where}: {error.problem}; mend the file, in which blanks tell what belongs where"
     if isinstance(error, OverrideParseException):
-        return (
-            f"'{error.override}' cannot be read; write key=value, close all brackets and quotes, and put a word with "
-            "brackets, quotes, commas or blanks between quotes of the shell, such as 'plant.outputs=[angle]'"
-        )
+        hint = "close all brackets and quotes, and put them between quotes of the shell: 'plant.outputs=[angle]'"
+        return f"'{error.override}' cannot be read; write key=value, {hint}"
     engine = re.search(r"Could not find 'hydra/launcher/([a-z]+)", text)
     module = engine[1] if engine else str(getattr(error, "name", None)).partition(".")[0]
-    if module in EXTRAS:
+    optional = "\n".join(requires("dynasindy") or ()) if engine or isinstance(error, ModuleNotFoundError) else ""
+    if extra := re.search(rf"^(?:hydra-)?{module}\b.*extra == .(\w+)", optional, re.M):
         instead = ", or choose hydra/launcher=basic" * bool(engine)
-        return f"{module} is not installed; install it by pip install 'dynasindy[{EXTRAS[module]}]'{instead}"
+        return f"{module} is not installed; install it by pip install 'dynasindy[{extra[1]}]'{instead}"
     if isinstance(error, MissingConfigException) and error.options:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
         return unknown_name(option, (choice for choice in error.options if not choice.startswith("_")), group)

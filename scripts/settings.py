@@ -44,8 +44,8 @@ SOME = Field(min_length=1)
 Seconds = Annotated[float, Field(gt=0, le=1e5)]
 LARGEST = 1e19
 """Squares of larger numbers, and of numbers smaller than its inverse, are no float32."""
-THREADS = range(1, 8 * (os.cpu_count() or 1) + 1)
 PLANT: dict[str, Any] = {
+    **dict.fromkeys(("plant", "plant.signals"), dict[str, Any]),
     **{"plant.outputs": list[str], "plant.rates": list[str | None], "plant.low": list[float]},
     **{"plant.high": list[float], "plant.start": dict[str, float | list[float]] | None},
     "plant.bounds": dict[str, float | list[float]],
@@ -57,8 +57,10 @@ PLANT: dict[str, Any] = {
 }
 """Keys of the plant, from which other groups copy; a mistake is named here rather than where it was copied to."""
 TOP: dict[str, Any] = {
-    **{"seed": Annotated[int, range(2**63)], "threads": Annotated[int, THREADS, "eight for each core"]},
+    "seed": Annotated[int, range(2**63)],
+    "threads": Annotated[int, range(1, 8 * (os.cpu_count() or 1) + 1), "eight for each core"],
     **{"system": System | None, "world_model": Callable[..., WorldModel], "data": DataSource},
+    **dict.fromkeys(("evaluation", "checkpoint"), dict[str, Any]),
     **dict.fromkeys(("run", "resume", "controller"), str | None),
     **dict.fromkeys(("folder", "results", "output", "device", "refinement", "error_shape"), str),
     **dict.fromkeys(("integral", "animate", "finish", "tensorboard"), bool),
@@ -145,16 +147,11 @@ def _hints(tree: Mapping[str, Any], finished: bool) -> dict[str, Any]:
 
 def _values(tree: Any, hints: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
     """Yield the keys that are given, each with its value and what it allows."""
+    groups = dict(nodes(tree))
     for key, hint in hints.items():
-        *groups, name = key.split(".")
-        node = tree
-        for place, group in enumerate(groups, 1):
-            node = node.get(group, {})
-            if not isinstance(node, dict):
-                where = ".".join(groups[:place])
-                raise ValueError(f"{where} is {_shown(node)}; allowed is a group of keys: correct it")
-        if node.get(name, "???") != "???":
-            yield key, node[name], hint
+        group, _, name = key.rpartition(".")
+        if (value := groups.get(group, {}).get(name, "???")) != "???":
+            yield key, value, hint
 
 
 def _arguments(tree: Any) -> Iterator[tuple[str, Any, Any]]:
@@ -203,11 +200,11 @@ def _fit(value: Any, hint: Any, key: str) -> Any:
             for step in each["loc"]:  # among them are the options of a union, which are no keys
                 if step in at if isinstance(at, Mapping) else isinstance(at, list) and step in range(len(at)):
                     place, at = (*place, step), at[step]
-            words = {"extra_forbidden": "no such key", "missing": "one value more"}.get(each["type"])
-            words = words or re.sub(
+            plain = re.sub(
                 r"^(Value error, |List should have )?(Input should be )?| after validation, .*", "", each["msg"]
             )
-            found.setdefault(place, (at, []))[1].append(words)
+            words = {"extra_forbidden": "no such key", "missing": "one value more", "dict_type": "a group of keys"}
+            found.setdefault(place, (at, []))[1].append(words.get(each["type"], plain))
         place, (at, allowed) = max(found.items(), key=lambda item: len(item[0]))
         where = key + "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place)
         options = " or ".join(dict.fromkeys(allowed))
@@ -270,13 +267,10 @@ def _require_builder(hint: Any, value: Any) -> Any:
     if value == "???":
         return value
     if isinstance(value, Mapping) and "_target_" in value:
-        builder = _builder(value, "")
-        if value.get("_partial_"):
-            result = get_args(hint)[-1] if get_args(hint) else None
-            other = isinstance(builder, type) and isinstance(result, type) and not issubclass(builder, result)
-            if wanted is Callable and not other:
-                return value
-        elif not isinstance(builder, type) or (isinstance(wanted, type) and issubclass(builder, wanted)):
+        builder, later = _builder(value, ""), bool(value.get("_partial_"))
+        made = (get_args(hint) or (Any,))[-1] if later else wanted
+        differs = isinstance(builder, type) and isinstance(made, type) and not issubclass(builder, made)
+        if not differs and (wanted is Callable or not later):
             return value
     raise ValueError(f"Input should be a group with _target_ that makes a {getattr(wanted, '__name__', wanted)}")
 

@@ -7,7 +7,6 @@ that are finished change no more, and need no function.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -90,14 +89,6 @@ def main_job() -> Rows:
     for plant in ("tras", "xi"):
         found = rows("gradient.csv", case="step", plant=plant, plant_seconds="10.0")
         yield f"`{plant}`", "10 s", axes(found), f"{worst(found, 'cpu_seconds'):.0f} s"
-
-
-@table("scenario | RMSE [mrad] | error at the end [mrad] | return")
-def scenarios() -> Rows:
-    for name in ("step", "sine", "square", "wind", "noise", "delay", "detuned"):
-        found = json.loads((RESULTS / f"runs/tras_gradient/evaluation/{name}.json").read_text())
-        errors = (pair(found[f"{kind}/alpha_{axis}"] for axis in "ap") for kind in ("rmse", "steady_state_error"))
-        yield f"`{name}`", *errors, f"{found['return']:.1f}"
 
 
 CASE_WORDS = {

@@ -57,19 +57,6 @@ def test_it_writes_tables_figures_and_an_animation(run_folder: Path, tmp_path: P
     assert json.loads((run_folder / "evaluation_integral" / "delay.json").read_text()) != plain  # results of its own
 
 
-def test_a_run_of_when_there_was_one_setting_more_is_read_where_that_said_nothing(run_folder, tmp_path, saved_run):
-    config = OmegaConf.load(run_folder / "config.yaml")
-    config.sensors = {"_target_": "dynasindy.sensing.Sensors", "channels": {"alpha_a": {"noise": 0.1}}}
-    for noise in (None, 0.1):
-        config.sensors.process_noise = noise
-        (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(config))
-        if noise is None:
-            assert "process_noise" not in saved_run.load_config(tmp_path).sensors
-        else:
-            with pytest.raises(ValueError, match="'process_noise' does not exist in 'sensors'"):
-                saved_run.load_config(tmp_path)
-
-
 @pytest.mark.slow
 def test_a_policy_that_was_trained_behind_sensors_is_evaluated_behind_them(tmp_path: Path) -> None:
     words = ["system=tras", "sensors=bench", "world_model=oracle", "experiment=gradient_smoke", "train.episodes=0"]
