@@ -192,31 +192,27 @@ def help_page(name: str, words: Sequence[str]) -> str:
         asked += [f"{group}={each}\n{textwrap.indent(shown(file), '    ')}" for each, file in files.items()]
     if asked:
         return "\n\n".join(asked)
-    chosen = _defaults(CONF / f"{name}.yaml")
-    changing = [groups[group][chosen[group]] for group in ("experiment", "setting") if group in chosen]
-    for file in changing:
-        chosen |= _defaults(file)
-    used = [group for group in chosen if group in groups]
+    own = CONF / f"{name}.yaml"
+    bases = [CONF / f"{base}.yaml" for base in re.findall(r"^  - ([a-z]\w+)$", own.read_text(), re.M)]
+    files = [*bases, own]
+    files += [groups[group][option] for group, option in _options(files).items() if group in ("experiment", "setting")]
+    used = {group: option for group, option in _options(files).items() if group in groups}
     lines = [textwrap.fill(purpose(name), WIDTH)]
     lines += ["", f"What it is made of; `{program(name)} GROUP[=OPTION] --help` says more:"] if used else []
-    for group in used:
-        others = ", ".join(other for other in groups[group] if other != chosen[group])
-        text = f"  {group}={chosen[group]}".ljust(22) + f"  or {others}"
+    for group, option in used.items():
+        others = ", ".join(other for other in groups[group] if other != option)
+        text = f"  {group}={option}".ljust(22) + f"  or {others}"
         lines.append(textwrap.fill(text, WIDTH, subsequent_indent=" " * 27))
-    bases = [base for base in (CONF / f"{each}.yaml" for each in chosen) if base.is_file()]
-    for file in (*bases, CONF / f"{name}.yaml", *changing):
+    for file in files:
         lines += ["", f"Settings, from {file.relative_to(CONF.parent)}:", "", _settings(file)]
     lines += ["", f"The whole config: {program(name)} --cfg job; what Hydra can do: {program(name)} --hydra-help"]
     return "\n".join(lines)
 
 
-def _defaults(file: Path) -> dict[str, str]:
-    """Return which option of each group a file chooses, "" for a file that it begins with, whose own come first."""
-    chosen: dict[str, str] = {}
-    for group, option in re.findall(r"^  - (?:override )?/?(\w+)(?:: (\w+))?$", file.read_text(), re.M):
-        base = file.parent / f"{group}.yaml"
-        chosen |= {**(_defaults(base) if base.is_file() and not option else {}), group: option}
-    return chosen
+def _options(files: Sequence[Path]) -> dict[str, str]:
+    """Return which option of each group files choose, of which the last has the last word."""
+    text = "\n".join(file.read_text() for file in files)
+    return dict(re.findall(r"^  - (?:override )?/?(\w+): (\w+)$", text, re.M))
 
 
 def _settings(file: Path) -> str:

@@ -181,11 +181,7 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
                     require_writable(Path(folder))
                 task(cfg)
             except KeyboardInterrupt as end:
-                line, folder = str(end), cfg.get("folder")
-                if line in ("", "stopped"):
-                    left = folder is not None and Path(folder).is_dir() and any(Path(folder).iterdir())
-                    kept = f"what was written until then is in {folder}" if left else "nothing is kept"
-                    line = f"stopped; {kept}, the same command begins anew"
+                line = "stopped; the same command begins anew" if str(end) in ("", "stopped") else str(end)
                 raise Stopped(line, getattr(end, "signal", 2)) from end
             finally:
                 for folder in () if swept else (output, cfg.get("folder"), cfg.get("output")):

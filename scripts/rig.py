@@ -71,13 +71,9 @@ def main(cfg: Any) -> None:
         print(f"Mend what ended the flight; {again}")
         sys.exit(1)
     if given is None:
-        words = HydraConfig.get().overrides.task
-        own = [word for word in words if word.partition("=")[0].partition(".")[0] in ("system", "plant")]
-        log = [*own, "data=csv", f"data.path={cfg.folder}/excitation.csv"]
-        more = [*without(words, "folder"), f"folder={cfg.folder}"]
-        steps = [command_line("identify", log, "draws equations against the log")]
-        steps += run_steps(cfg.folder, "check", "export")
-        say(next_steps(*steps, command_line("rig", more, "learns from all logs in the folder and flies again")))
+        more = [*without(HydraConfig.get().overrides.task, "folder"), f"folder={cfg.folder}"]
+        more_flights = command_line("rig", more, "learns from all logs in the folder and flies again")
+        say(next_steps(*run_steps(cfg.folder, "check", "export"), more_flights))
 
 
 if __name__ == "__main__":

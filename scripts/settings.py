@@ -60,7 +60,7 @@ TOP: dict[str, Any] = {
     "seed": Annotated[int, range(2**63)],
     "threads": Annotated[int, range(1, 8 * (os.cpu_count() or 1) + 1), "eight for each core"],
     **{"system": System | None, "world_model": Callable[..., WorldModel], "data": DataSource},
-    **dict.fromkeys(("evaluation", "checkpoint"), dict[str, Any]),
+    **dict.fromkeys(("evaluation", "checkpoint", "guard", "level"), dict[str, Any]),
     **dict.fromkeys(("run", "resume", "controller"), str | None),
     **dict.fromkeys(("folder", "results", "output", "device", "refinement", "error_shape"), str),
     **dict.fromkeys(("integral", "animate", "finish", "tensorboard"), bool),
@@ -78,12 +78,6 @@ TOP: dict[str, Any] = {
     **{"draws": Annotated[int, range(10_001)]},
 }
 """Keys of any command's config, besides those of what it builds, and those whose types import TorchRL."""
-IMPORTED = {
-    **{"sensors": "dynasindy.sensing.Sensors", "excitation": "dynasindy.excitation.Excitation"},
-    **{"scenario": "dynasindy.evaluation.scenarios.Scenario", "guard": "dynasindy.rig.Guard"},
-    "level": "dynasindy.evaluation.ablation.Level",
-}
-"""Keys whose types are imported where they are given."""
 EXPORTING: dict[str, Any] = {"formats": list[Literal["c", "onnx", "fmu", "model"]]}
 """What keys of export allow beside those of other commands."""
 
@@ -138,10 +132,6 @@ def _hints(tree: Mapping[str, Any], finished: bool) -> dict[str, Any]:
         for name in sorted(parts.keys() - tree.keys() - {"sensors"}) if finished else ():
             raise ValueError(f"'{name}' is not given; restore it, or train again")
         hints = parts | hints
-    for key, place in IMPORTED.items():
-        if key in tree and key not in hints and not (key == "sensors" and tree[key] is None):
-            kind = pkgutil.resolve_name(place)
-            hints[key] = Callable[..., kind] if key == "excitation" else kind
     return hints
 
 

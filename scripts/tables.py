@@ -8,7 +8,7 @@ that are finished change no more, and need no function.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -21,22 +21,14 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 BLOCK = re.compile(r"(<!-- table: (\w+) -->\n\n).*?(\n\n<!-- end -->)", re.S)
 AXES = ["azimuth", "pitch"]
-TABLES: dict[str, Callable[[], str]] = {}
-"""The tables by name, each as Markdown."""
 Rows = Iterator[Sequence[object]]
+"""The heading of a table, and its rows."""
 
 
-def table(header: str) -> Callable[[Callable[[], Rows]], Callable[[], Rows]]:
-    """Make a table of the rows that a function yields; `header` is its first line without the outer bars."""
-
-    def add(rows: Callable[[], Rows]) -> Callable[[], Rows]:
-        columns = header.split(" | ")
-        TABLES[rows.__name__] = lambda: "\n".join(
-            f"| {' | '.join(map(str, line))} |" for line in (columns, ["---"] * len(columns), *rows())
-        )
-        return rows
-
-    return add
+def markdown(name: str) -> str:
+    """Return a table by its name."""
+    heading, *lines = TABLES[name]()
+    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in (heading, ["---"] * len(heading), *lines))
 
 
 def pages() -> dict[Path, str]:
@@ -44,7 +36,7 @@ def pages() -> dict[Path, str]:
     files = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *RESULTS.glob("*.md")]
     texts = {file: file.read_text(encoding="utf-8") for file in files}
     found = {
-        file: BLOCK.sub(lambda block: block[1] + TABLES[block[2]]() + block[3], text)
+        file: BLOCK.sub(lambda block: block[1] + markdown(block[2]) + block[3], text)
         for file, text in texts.items()
         if BLOCK.search(text)
     }
@@ -84,8 +76,8 @@ def axes(found: pd.DataFrame) -> str:
     return pair(worst(found, axis) for axis in ("azimuth", "pitch"))
 
 
-@table("plant | data | error, azimuth / pitch [mrad] | CPU time")
 def main_job() -> Rows:
+    yield "plant", "data", "error, azimuth / pitch [mrad]", "CPU time"
     for plant in ("tras", "xi"):
         found = rows("gradient.csv", case="step", plant=plant, plant_seconds="10.0")
         yield f"`{plant}`", "10 s", axes(found), f"{worst(found, 'cpu_seconds'):.0f} s"
@@ -109,9 +101,9 @@ CASE_WORDS = {
 """Cases of planning by gradient that the pages show, in words."""
 
 
-@table("case | `tras` | `xi` | CPU time")
 def gradient() -> Rows:
     """Yield the worst of ten seeds in each case of planning by gradient, after 10 s of data."""
+    yield "case", "`tras`", "`xi`", "CPU time"
     for (case, scenario), words in CASE_WORDS.items():
         found = rows("gradient.csv", case=case, scenario=scenario, plant_seconds="10.0")
         own = {plant: axes(of) for plant, of in found.groupby("plant")}
@@ -133,9 +125,9 @@ SHOWN = {
 """The error of each rig that the pages show; the file has all of them."""
 
 
-@table(f"rig | error | {' | '.join(MODELS.values())} | another")
 def rig_models() -> Rows:
     """Yield the newest errors of models of logged plants on their test logs."""
+    yield "rig", "error", *MODELS.values(), "another"
     for rig, metric in SHOWN.items():
         own = rows("rigs.csv", rig=rig, metric=metric).drop_duplicates("model", keep="last")
         cells = dict(zip(own.model, own.value, strict=True))
@@ -144,8 +136,8 @@ def rig_models() -> Rows:
         yield rig, f"{metric} [{own.unit.iloc[0]}]", *(cells.get(name, "") for name in MODELS), another
 
 
-@table("plant | held to 1 % | error of the worst seed | data")
 def plants() -> Rows:
+    yield "plant", "held to 1 %", "error of the worst seed", "data"
     found = rows("plants.csv")
     found = found[found.error_percent != ""]
     for plant, own in sorted(found.groupby("plant", sort=False), key=lambda pair: pair[0].endswith("_bench")):
@@ -154,8 +146,8 @@ def plants() -> Rows:
         yield f"`{plant}`", f"{held} of {own.seed.nunique()}", f"{error:.3g} %", f"{seconds:g} s"
 
 
-@table("plant, what is measured | promised | held to 1 % | error of the worst seed | error of the first run")
 def logs() -> Rows:
+    yield "plant, what is measured", "promised", "held to 1 %", "error of the worst seed", "error of the first run"
     titles = yaml.safe_load((Path(__file__).with_name("benchmarks") / "logged_plants.yaml").read_text())
     newest, first = rows("logs.csv"), rows("logs_first.csv")
     for plant, facts in titles.items():
@@ -167,27 +159,25 @@ def logs() -> Rows:
         yield facts["title"], f"{promised} of {of}", f"{held} of {of}", *shown
 
 
-@table("plant | model | error on the test log, simulated | CPU time")
 def peers() -> Rows:
+    yield "plant", "model", "error on the test log, simulated", "CPU time"
     for row in rows("peers.csv", case="model, test log simulated").itertuples():
         unit = row.measure.removeprefix("RMSE, ")
         yield f"`{row.plant}`", f"{row.peer} {row.version}", f"{row.value} {unit}", f"{row.cpu_seconds} s"
 
 
-@table("case | by | what is measured | must reach | value")
 def identification() -> Rows:
     """Yield what identification had to reach from exact data, and what was measured."""
+    yield "case", "by", "what is measured", "must reach", "value"
     for row in rows("identification.csv").itertuples():
         if row.case in ("xi_10s", "xi_control", "tras", "trms33", "refit", "speed") and row.value.count(",") < 2:
             yield f"`{row.case}`", row.method, row.measure, row.target, row.value
 
 
-@table(
-    "plant, setting | seeds that reach the level | real episodes to the level | plant time to the level [s] | "
-    "area under the curve | final return | final error [rad]"
-)
 def rollouts() -> Rows:
     """Yield rows of the ablation: 800, 400 and no rollouts with our settings."""
+    measured = ("real episodes to the level", "plant time to the level [s]", "area under the curve", "final return")
+    yield "plant, setting", "seeds that reach the level", *measured, "final error [rad]"
     for line in ablation().splitlines():
         plant, experiment, setting, _, _, *cells = line.strip("| ").split(" | ") if line.startswith("|") else [""] * 5
         if experiment == "dyna" and setting in ("rollouts_800", "rollouts_400", "rollouts_0"):
@@ -197,6 +187,12 @@ def rollouts() -> Rows:
 def ablation() -> str:
     """Return the table of all settings of the ablation."""
     return to_markdown(read_ablation(RESULTS / "ablation.csv"), Level())
+
+
+TABLES = {
+    table.__name__: table for table in (main_job, gradient, rig_models, plants, logs, peers, identification, rollouts)
+}
+"""The tables by name."""
 
 
 if __name__ == "__main__":

@@ -16,8 +16,8 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 sys.path.append(str(Path(__file__).parents[1] / "scripts"))
-import errors
 from cli import CONF
+from command import MENDABLE, in_words
 from saved_run import load_config, load_policy
 from settings import check
 
@@ -75,8 +75,8 @@ def judged(use, command: str, *names: str) -> str:
     """Use an input and return what is wrong with how it is refused."""
     try:
         use()
-    except errors.MENDABLE as error:
-        line = errors.in_words(error, command)
+    except MENDABLE as error:
+        line = in_words(error)
         wrong = complaint(line, *names)
         return f"{wrong} | {line}" if wrong else ""
     except Exception as error:

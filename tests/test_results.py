@@ -25,7 +25,7 @@ def test_a_number_that_changed_in_a_page_is_written_anew(tmp_path, monkeypatch):
     page = tmp_path / "README.md"
     page.write_text("a\n\n<!-- table: main_job -->\n\n| old |\n\n<!-- end -->\n\nb\n")
     monkeypatch.setattr(tables, "ROOT", tmp_path)
-    main_job = tables.TABLES["main_job"]()
+    main_job = tables.markdown("main_job")
     assert tables.pages()[page] == f"a\n\n<!-- table: main_job -->\n\n{main_job}\n\n<!-- end -->\n\nb\n"
     with (RESULTS / "gradient.csv").open(newline="") as file:
         found = [row for row in csv.DictReader(file) if (row["case"], row["plant"]) == ("step", "xi")]
