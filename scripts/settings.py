@@ -60,7 +60,7 @@ TOP: dict[str, Any] = {
     "seed": Annotated[int, range(2**63)],
     "threads": Annotated[int, range(1, 8 * (os.cpu_count() or 1) + 1), "eight for each core"],
     **{"system": System | None, "world_model": Callable[..., WorldModel], "data": DataSource},
-    **dict.fromkeys(("evaluation", "checkpoint", "guard", "level"), dict[str, Any]),
+    **dict.fromkeys(("evaluation", "checkpoint", "scenario", "guard", "level"), dict[str, Any]),
     **dict.fromkeys(("run", "resume", "controller"), str | None),
     **dict.fromkeys(("folder", "results", "output", "device", "refinement", "error_shape"), str),
     **dict.fromkeys(("integral", "animate", "finish", "tensorboard"), bool),
