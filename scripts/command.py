@@ -255,12 +255,7 @@ def one_line(cfg: DictConfig | None = None) -> Iterator[None]:
         if Sweep.config is None:
             PROGRESS.close()  # so that the line is the last one
         print(fit_stderr(line), file=sys.stderr)
-        sys.exit(1 if _diverged(error) else 2)
-
-
-def _diverged(error: BaseException) -> bool:
-    """Tell whether a computation ran away; the class of its error would cost every command the import of torch."""
-    return type(error).__name__ == "Diverged"
+        sys.exit(1 if type(error).__name__ == "Diverged" else 2)
 
 
 def _refusal_file(folder: Path) -> Path:
@@ -328,7 +323,7 @@ def in_words(error: BaseException, settings: object = None) -> str:
         said = f": {wanted} more were wanted" if wanted else f": {text}" if text and type(error) is MemoryError else ""
         lower = "lower counts and sizes, such as replay.capacity, planning.rollouts, agent.hidden or draws, or log less"
         return f"memory ran out{said}; {lower}, or allow this command more (ulimit -v)"
-    if not (isinstance(error, MENDABLE) or _diverged(error)):
+    if not (isinstance(error, MENDABLE) or type(error).__name__ == "Diverged"):  # whose class would import torch
         return ""
     if isinstance(error, OverrideParseException):
         hint = "close all brackets and quotes, and put them between quotes of the shell: 'plant.outputs=[angle]'"

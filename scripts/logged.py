@@ -46,10 +46,7 @@ def prepare(cfg: DictConfig) -> tuple[dict[str, Any], Source | None, dict[str, A
         raise ValueError(f"device is {device}; allowed is cpu where a log or a model is planned on: leave it out")
     logged = cfg.get("data") is not None
     if not logged and cfg.system is not None:
-        raise ValueError(
-            "model=PATH plans without a plant, and system names one; leave system out, and give plant.outputs, "
-            "plant.low and plant.high"
-        )
+        raise ValueError("model=PATH plans without a plant, and system names one; leave system out")
     targets = given_targets(cfg)
     if None in targets.values():
         like: dict[str, list[str]] = {"outputs": ["angle"], "low": ["-0.5"], "high": ["0.5"]}

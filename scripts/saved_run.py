@@ -1,6 +1,7 @@
 """Runs of Algorithm 1: made from a composed config, gone on with, and loaded again for their policy."""
 
 import shlex
+import shutil
 import subprocess
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -72,10 +73,7 @@ def _resumed(cfg: DictConfig, job: DictConfig) -> DictConfig:
     saved = load_config(folder, cfg.plugins)
     ended = (folder / "metrics.json").is_file() and not (folder / "checkpoints").is_dir()
     if ended and result(folder, saved.train.episodes) is None:
-        raise ValueError(
-            f"{folder} holds results and no checkpoint, it cannot go on and would begin anew; give the folder of a "
-            "stopped run, or restore its files"
-        )
+        raise ValueError(f"{folder} holds results and no checkpoint to go on from; give the folder of a stopped run")
     given = {name: cfg[name] for name in own if name != "plugins"}
     return DictConfig({**saved, **given, "folder": str(folder.absolute())})
 
@@ -86,10 +84,8 @@ def command_and_commit(job: DictConfig) -> dict[str, str]:
     An installed package is in none, though it may lie in one of the user's.
     """
     git = ["git", "-C", str(CONF.parent), "describe", "--always", "--dirty", "--exclude", "*"]
-    try:
-        commit = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip() if IN_CLONE else ""
-    except (OSError, subprocess.CalledProcessError):
-        commit = ""
+    asked = IN_CLONE and shutil.which("git") is not None
+    commit = subprocess.run(git, capture_output=True, text=True).stdout.strip() if asked else ""
     return {"command": " ".join([program(job.job.config_name), *job.overrides.task]), "commit": commit or "unknown"}
 
 
@@ -118,10 +114,8 @@ def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
     if not (folder / "policy.pt").is_file():
         if (folder / NAME).is_file():
             return env, load(folder).policy  # a controller that was handed on without the files of its training
-        raise FileNotFoundError(
-            f"{folder} has no policy.pt, its run did not end; go on with {program('train')} resume={folder}, or end it "
-            f"there with finish=true beside it"
-        )
+        goes_on = f"go on with {program('train')} resume={folder}, or end it with finish=true beside it"
+        raise FileNotFoundError(f"{folder} has no policy.pt, its run did not end; {goes_on}")
     policy = instantiate(config.agent, _convert_="all")(n_obs=task.n_o, n_u=system.signature.n_u).deployed
     policy.load_state_dict(read_weights(folder / "policy.pt", policy.state_dict()))
     return env, policy

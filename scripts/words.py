@@ -92,8 +92,8 @@ def require_keys(config_name: str, settings: list[str]) -> list[str]:
     groups += [word for word in settings if word.startswith("hydra/")]
     keys = {w: o.key_or_group for w, o in found.items() if w not in groups and not o.key_or_group.startswith("hydra.")}
     chosen = [word for word in settings if word.startswith("hydra.searchpath=")]
-    for word, override in ((word, found[word]) for word in groups):
-        many = override.is_choice_sweep() or override.is_range_sweep()  # of which the first stands for all
+    for word, override in ((word, found[word]) for word in groups if "=glob(" not in word):
+        many = override.is_choice_sweep()  # options, of which the first stands for all
         option = next(override.sweep_string_iterator(), "") if many else word.partition("=")[2].strip("'\"")
         text = not option.startswith("[") and word[0] != "~"  # so that null is refused as an option that there is not
         chosen.append(f"{override.get_key_element()}='{option}'" if text else word)
