@@ -9,7 +9,7 @@ from collections.abc import Sequence
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: one thread is what is compared
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
 
-from cli import HELP, pipe_guard, program, purpose, refuse, require_writable
+from cli import pipe_guard, program, purpose, require_writable
 
 BENCHMARKS = ("gradient", "identify", "logs", "peers", "plants", "rigs")
 """Modules of `benchmarks`, each with a `main` and with `add_options` for its command line."""
@@ -26,19 +26,13 @@ def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
 
 def main() -> None:
     """Read the command line of the benchmark that its first word names, and let it work."""
+    parser = argparse.ArgumentParser(program("benchmark"), argparse.SUPPRESS, purpose("benchmark"))
+    parser.add_argument("name", nargs="?", default="none", choices=BENCHMARKS, help="each has options and a --help")
     with pipe_guard():
-        name, *words = sys.argv[1:] or ["none"]
-        if name in HELP:
-            print(purpose("benchmark"), f"Benchmarks, each with --help: {', '.join(BENCHMARKS)}", sep="\n")
-            return
-        if name not in BENCHMARKS:
-            refuse(f"there is no benchmark '{name}'; choose one of: {', '.join(BENCHMARKS)}")
-        arguments = parse(name, words)
-        try:
-            if arguments.out is not None:
-                require_writable(arguments.out.parent)
-        except OSError as error:
-            refuse(f"--out {arguments.out} cannot be written: {error.strerror}; choose another")
+        name = parser.parse_args(sys.argv[1:2]).name
+        arguments = parse(name, sys.argv[2:])
+        if arguments.out is not None:
+            require_writable(arguments.out.parent)
         importlib.import_module(f"benchmarks.{name}").main(arguments)
 
 
