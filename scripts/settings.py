@@ -198,7 +198,7 @@ def _fit(value: Any, hint: Any, key: str) -> Any:
         place, (at, allowed) = max(found.items(), key=lambda item: len(item[0]))
         where = key + "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place)
         options = " or ".join(dict.fromkeys(allowed))
-        raise ValueError(f"{where} is {_shown(at)}; allowed is {options}: correct it") from None
+        raise ValueError(f"{where}={_shown(at)}; allowed is {options}: correct it") from None
 
 
 @cache
