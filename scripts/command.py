@@ -44,7 +44,6 @@ from omegaconf.errors import OmegaConfBaseException
 from words import read_words, taken_from, unknown_name
 
 import dynasindy
-from dynasindy.dyna import Stopped
 from dynasindy.limits import is_memory_error, memory_wanted
 from dynasindy.progress import LOADING, Progress, fit_stderr, report_progress, say
 from dynasindy.safe_io import LinkError, write_text
@@ -180,9 +179,6 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
                 for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):
                     require_writable(Path(folder))
                 task(cfg)
-            except KeyboardInterrupt as end:
-                line = "stopped; the same command begins anew" if str(end) in ("", "stopped") else str(end)
-                raise Stopped(line, getattr(end, "signal", 2)) from end
             finally:
                 for folder in () if swept else (output, cfg.get("folder"), cfg.get("output")):
                     remove_empty(folder)
@@ -207,7 +203,7 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
                 end_sweep(Sweep.config, Sweep.began)
     except KeyboardInterrupt as end:
         handle_signals(exit_at_once)
-        line = " ".join((str(end) or "stopped").split())
+        line = "stopped; the same command begins anew" if str(end) in ("", "stopped") else " ".join(str(end).split())
         if Sweep.config is not None:
             kept = Sweep.config.hydra.sweep.dir
             line = f"stopped; the finished jobs are kept in {kept}, the same command goes on with the others"
