@@ -65,10 +65,9 @@ def is_memory_error(error: BaseException) -> bool:
 
 def memory_wanted(error: BaseException) -> str:
     """Return how much memory an error says was wanted in vain, as `8 GB`; empty where it does not say."""
-    if found := re.search(r"allocate (\d+) bytes", str(error)):
-        return f"{int(found[1]) / 1e9:.3g} GB"
-    found = re.search(r"allocate ([\d.]+ [KMGTPE]i?B)", str(error))
-    return found[1] if found else ""
+    if not (found := re.search(r"allocate (?:(\d+) bytes|([\d.]+ [KMGTPE]i?B))", str(error))):
+        return ""
+    return found[2] or f"{int(found[1]) / 1e9:.3g} GB"
 
 
 def raise_if_memory(error: BaseException) -> None:

@@ -275,14 +275,11 @@ class RegulatedExcitation:
         if self.gain is None and self.strength == self.signal.first == 1.0:
             return tensordict.set("action", u)
         added = self.strength * self.signal.growth(tensordict["step_count"]).to(u) * (u - self.signal.offset.to(u))
-        return tensordict.set("action", (self.held(tensordict).to(u) + added).clamp(-1.0, 1.0))
-
-    def held(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the inputs under the signal, `(*batch, n_u)`: those of the regulator, or the mean where none is."""
-        if self.gain is None:
-            return self.mean
-        away = tensordict["state"].double() - self.led(tensordict["step_count"])
-        return (self.mean - away @ self.gain.mT).clamp(-1.0, 1.0)
+        held = self.mean  # where no regulator is
+        if self.gain is not None:
+            away = tensordict["state"].double() - self.led(tensordict["step_count"])
+            held = (self.mean - away @ self.gain.mT).clamp(-1.0, 1.0)
+        return tensordict.set("action", (held.to(u) + added).clamp(-1.0, 1.0))
 
     def led(self, steps: Tensor) -> Tensor:
         """Return where the regulator holds the plant so many periods after the start of a try, `(*batch, n_x)`."""

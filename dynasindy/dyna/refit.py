@@ -46,16 +46,8 @@ class Refit:
     error: ModelError
 
 
-def fit(parts: Components, held_out: Tensor | None = None) -> object:
-    """Fit the world model to the real transitions and return its report.
-
-    Args:
-        parts: The model and the data.
-        held_out: Which of the newest steps stay out, `(n,)` bool.
-
-    Raises:
-        Diverged: What the model has learnt is not finite.
-    """
+def _fit(parts: Components, held_out: Tensor | None = None) -> object:
+    """Fit the world model to the real transitions, but those of the newest that are held out, and return its report."""
     report_progress("fit")
     rows = parts.replay.real_in_order()
     if held_out is not None:
@@ -104,7 +96,7 @@ def first_fit(parts: Components, newest: TensorDictBase) -> object:
     Raises:
         Diverged: What the model has learnt is not finite.
     """
-    report = fit(parts)
+    report = _fit(parts)
     _observe(parts, newest)
     return report
 
@@ -122,28 +114,27 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
     Raises:
         Diverged: The refit is not finite, and no window is held out that would tell the earlier model's error.
     """
-    length = WINDOW
-    starts = _held_out_windows(rollout.numel(), length, settings.held_out)
+    starts = _held_out_windows(rollout.numel(), WINDOW, settings.held_out)
     if not len(starts):
         unseen = replay_error(parts.model_env, rollout)
         return Refit(first_fit(parts, rollout), torch.nan, torch.nan, True, unseen)
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
-    held_out[(starts.unsqueeze(-1) + torch.arange(length)).flatten()] = True
+    held_out[(starts.unsqueeze(-1) + torch.arange(WINDOW)).flatten()] = True
     adds, take_back = _adds(parts), parts.world_model.kept()
     logged = partial(transitions, rollout, parts.model_env.log_dt) if adds else None
-    before, shown_for = replay_error(parts.model_env, rollout, starts, length), parts.world_model.delay
+    before, shown_for = replay_error(parts.model_env, rollout, starts, WINDOW), parts.world_model.delay
     report: object
     try:
-        report = fit(parts, held_out) if logged is None else _added(parts, logged(~held_out))
+        report = _fit(parts, held_out) if logged is None else _added(parts, logged(~held_out))
         later = (parts.world_model.delay - shown_for) / parts.plant.dt
-        after = replay_error(parts.model_env, _acting(rollout, later), starts, length)
+        after = replay_error(parts.model_env, _acting(rollout, later), starts, WINDOW)
         kept = after.state_error <= max(WORSE * before.state_error, NEGLIGIBLE)
     except Diverged as lost:  # the worst of refits, and taken back like any other
         report, after, kept = lost, replace(before, reward_error=torch.inf, state_error=torch.inf), False
     if not kept:
         take_back()
         if parts.plant.task.own:  # a reward is told by all data, whatever became of the model: the gate judges both
-            before = replay_error(parts.model_env, rollout, starts, length)
+            before = replay_error(parts.model_env, rollout, starts, WINDOW)
     if logged is not None:
         # The next refit reads what this one was tested by, and what one that was taken back was made of.
         parts.world_model.absorb(logged(held_out if kept else None))

@@ -93,12 +93,12 @@ def hold(
     laws, search = _regulators(env, rests), keep is not None
     if search and rows.late is not None and not _bears_delay(laws, env, rows):
         rows.late = None  # a plant that runs away within a period or two is held by inputs in time alone
-    if keep and arrives(network, env, rests, rng):
+    if keep and _arrives(network, env, rests, rng):
         return Imitation(score(network))  # it is given up for a better one only
     best, before = score(network), copy.deepcopy(network.state_dict())
     earned: dict[float, Law] = {score(law): law for law in laws}
     afar, imagined, late = False, 0, rows.late
-    if search and earned and not arrives(earned[max(earned)], env, rests, rng):
+    if search and earned and not _arrives(earned[max(earned)], env, rests, rng):
         paths, imagined = TrajectoryLibrary.of(env, rests, rng)
         rows.late = None  # a way is timed for inputs that act at once
         if paths is not None and (scored := score(paths)) > max(map(score, laws)):
@@ -131,15 +131,8 @@ def _bears_delay(laws: list[Regulator], env: ControlEnv, rows: Rows) -> bool:
     return any(_held(law, rows) for law in laws) or not any(_held(law, in_time) for law in laws)
 
 
-def arrives(pilot: Network, env: ControlEnv, rests: Equilibria, rng: torch.Generator) -> bool:
-    """Return whether a policy brings every imagined episode to rest; of a moving reference nothing is asked.
-
-    Args:
-        pilot: Policy, observations to inputs.
-        env: Imagined environment.
-        rests: Equilibria of its model.
-        rng: Source of starts and references.
-    """
+def _arrives(pilot: Network, env: ControlEnv, rests: Equilibria, rng: torch.Generator) -> bool:
+    """Return whether a policy brings every imagined episode to rest; of a moving reference nothing is asked."""
     task, batch = env.task, torch.Size((ROWS,))
     params, begin = task.sample(batch, rng), torch.zeros(ROWS, 1)
     regulator = Regulator.of(env, rests, WEIGHTS)

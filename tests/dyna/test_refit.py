@@ -12,7 +12,7 @@ from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.excite import interact
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.refit import _acting, _held_out_windows, first_fit, fit, refit
+from dynasindy.dyna.refit import _acting, _fit, _held_out_windows, first_fit, refit
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.rollout_data import transitions
 from dynasindy.excitation import Chirp
@@ -68,14 +68,14 @@ def setting(*factors):
 
 def test_a_worse_refit_is_rolled_back_and_a_better_one_stays():
     parts, rollout = setting(1.5, 1.2, 1.0)
-    fit(parts)
+    _fit(parts)
     better, best = refit(parts, LoopSettings(1), rollout), refit(parts, LoopSettings(1), rollout)
     assert better.kept and best.kept
     assert best.error.state_error == best.error_after and best.error.reward_error < better.error.reward_error
     assert best.error_after < 1e-4 < best.error_before == better.error_after < better.error_before
 
     parts, rollout = setting(1.0, 1.5)
-    fit(parts)
+    _fit(parts)
     worse = refit(parts, LoopSettings(1), rollout)
     assert not worse.kept and worse.error_after > worse.error_before
     assert worse.error.state_error == worse.error_before  # the gate judges the model that stays
@@ -98,7 +98,7 @@ class Learning(Tracking):
 def test_what_a_task_learns_stays_and_the_gate_judges_the_model_that_stays_by_it(factor, learnt, kept):
     parts, rollout = setting(1.0, factor)
     parts.plant.task.__class__ = Learning
-    fit(parts)
+    _fit(parts)
     result = refit(parts, LoopSettings(1), rollout)
     assert (result.kept, parts.plant.task.learnt, parts.world_model.factor) == (kept, learnt, 1.0)
     starts = _held_out_windows(rollout.numel(), 20, 4)
@@ -107,7 +107,7 @@ def test_what_a_task_learns_stays_and_the_gate_judges_the_model_that_stays_by_it
 
 def test_without_a_test_every_refit_stays():
     parts, rollout = setting(1.0, 9.0)
-    fit(parts)
+    _fit(parts)
     unseen = replay_error(parts.model_env, rollout)
     result = refit(parts, LoopSettings(1, held_out=0), rollout)
     assert result.error.reward_error == unseen.reward_error  # the whole episode, before the fit has read it
@@ -118,9 +118,9 @@ def test_without_a_test_every_refit_stays():
 @pytest.mark.parametrize("factor", [math.nan, math.inf])
 def test_a_fit_that_is_not_finite_is_told_with_the_model(factor):
     parts, _ = setting(1.0, factor)
-    assert fit(parts) == "report"
+    assert _fit(parts) == "report"
     with pytest.raises(Diverged, match="learning"):
-        fit(parts)
+        _fit(parts)
 
 
 def samples_of(rollout, steps):
@@ -153,7 +153,7 @@ def test_a_refit_reads_all_periods_but_the_held_out_ones(held_out, used):
 )
 def test_a_refit_may_be_a_tenth_worse_or_off_by_what_no_plan_feels(monkeypatch, before, after, kept):
     parts, rollout = setting(2.0, 3.0)
-    fit(parts)
+    _fit(parts)
     errors = iter([ModelError(0.1, before, torch.zeros(0)), ModelError(0.2, after, torch.zeros(0))])
     monkeypatch.setattr("dynasindy.dyna.refit.replay_error", lambda *_: next(errors))
     result = refit(parts, LoopSettings(1), rollout)

@@ -7,7 +7,7 @@ from torch import nn
 
 from dynasindy.agents.networks import MLP
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.imitation import ROWS, _bears_delay, _imitate, _regulators, arrives, hold
+from dynasindy.planning.imitation import ROWS, _arrives, _bears_delay, _imitate, _regulators, hold
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.planning.rollout import Rows
 
@@ -72,8 +72,8 @@ def test_a_law_arrives_where_the_plant_rests_at_every_target_in_the_end(inverted
     for start, arrived in (({"theta": [-0.1, 0.1]}, True), ({"theta": [math.pi, math.pi]}, False)):
         env, rests = inverted(pull=2.0, start=start, box=0.01, max_steps=120)
         law = Regulator.of(env, rests, Weights())
-        assert arrives(law, env, rests, torch.Generator().manual_seed(0)) is arrived
-        assert not arrives(lambda o: torch.ones(*o.shape[:-1], 1), env, rests, torch.Generator().manual_seed(0))
+        assert _arrives(law, env, rests, torch.Generator().manual_seed(0)) is arrived
+        assert not _arrives(lambda o: torch.ones(*o.shape[:-1], 1), env, rests, torch.Generator().manual_seed(0))
 
 
 def test_inputs_a_period_late_hold_a_pole_only_where_it_falls_by_less_than_twice_in_a_period(inverted):
