@@ -66,16 +66,13 @@ class IntegralAction:
         beside = columns.start, observation.shape[-1] - columns.stop
         seen["observation"] = observation + torch.nn.functional.pad(shift, beside)
         slowness = references.rate(params, t)[..., task.rated] - x[..., task.rates] if task.rates else error[..., :0]
-        self.integral = self.advanced(self.integral, error, slowness)
+        self.integral = self._advanced(self.integral, error, slowness)
         return tensordict.set("action", self.policy(seen)["action"])
 
-    def advanced(self, integral: Tensor, error: Tensor, slowness: Tensor) -> Tensor:
-        """Return the integral a control period later, `(*batch, n_r)` [target ranges].
+    def _advanced(self, integral: Tensor, error: Tensor, slowness: Tensor) -> Tensor:
+        """Return the integral a control period later, `(*batch, n_r)`, from errors [target ranges].
 
-        Args:
-            integral: As it is.
-            error: Desired less actual values [target ranges].
-            slowness: Rates of the references less those of the outputs, of outputs that have a rate.
+        `slowness` are the rates of the references less those of the outputs, of outputs that have a rate.
         """
         moving = torch.zeros_like(error)  # an output without a rate tells nothing of its motion
         if self.task.rates:

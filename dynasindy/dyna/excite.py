@@ -126,7 +126,7 @@ def excite(parts: PlantComponents, pilot: RegulatedExcitation | None = None) -> 
     tries: list[TensorDict] = []
     while (done := sum(len(rows) for rows in tries)) < steps:
         pilot.begun = done
-        tries.append(interact(parts.env, pilot, steps - done, (low, high)))
+        tries.append(_interact(parts.env, pilot, steps - done, (low, high)))
         last = tries[-1]["next"][-1]
         # A state that is no number any more leaves no row: then the try is short, and the task has not ended it.
         short = done + len(tries[-1]) < steps and not bool(last["done"].any())
@@ -205,20 +205,13 @@ def within(x: Tensor, low: Tensor, high: Tensor) -> Tensor:
     return ((x >= low) & (x <= high)).all(-1)
 
 
-def interact(
+def _interact(
     env: EnvBase,
     policy: Callable[[TensorDictBase], TensorDictBase],
     steps: int,
     ends: tuple[Tensor, Tensor] | None = None,
 ) -> TensorDict:
-    """Run a policy, exploring, on the real system for at most one episode, `(T,)`.
-
-    Args:
-        env: The real system.
-        policy: What acts.
-        steps: Most control periods.
-        ends: Limits of the states, beyond which the run ends; none if omitted.
-    """
+    """Run a policy, exploring, for at most one episode, `(T,)`, which ends beyond limits of the states, if any."""
     with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
         if ends is None:
             return env.rollout(steps, policy)
@@ -245,7 +238,7 @@ def explore(parts: Components) -> TensorDict:
         policy = parts.sensing.controller(policy)
     elif isinstance(task, Tracking) and bool(task.bounds.isfinite().any()):
         ends = task.bounds[0], task.bounds[1]
-    return interact(parts.env, policy, parts.model_env.task.max_steps, ends)
+    return _interact(parts.env, policy, parts.model_env.task.max_steps, ends)
 
 
 class RegulatedExcitation:

@@ -9,9 +9,9 @@ from tensordict import TensorDict
 from dynasindy.dyna.excite import (
     RegulatedExcitation,
     _excitation_limits,
+    _interact,
     excitation_findings,
     excite,
-    interact,
 )
 from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
 from dynasindy.envs.rollout_data import transitions
@@ -54,7 +54,7 @@ def finding(code, made, rows):
 
 def test_a_plant_within_its_limits_is_excited_open_loop_as_ever():
     mine, plain = parts(Xi(), 2, 2.0), parts(Xi(), 2, 2.0)
-    excited, wanted = excite(mine), interact(plain.env, plain.excitation, 40)
+    excited, wanted = excite(mine), _interact(plain.env, plain.excitation, 40)
     assert set(excited.keys(True, True)) == set(wanted.keys(True, True)) and excited.shape == wanted.shape == (40,)
     for key in wanted.keys(True, True):
         torch.testing.assert_close(excited[key], wanted[key], atol=0.0, rtol=0.0)
@@ -166,7 +166,7 @@ def test_the_loop_is_the_regulator_of_the_plant_near_its_start():
         return tensordict.set("action", 0.3 * torch.randn(1, generator=generator))
 
     rows = torch.cat(
-        [interact(experiment.env, shaken, 6, (torch.tensor([-1.0]), torch.tensor([1.0]))) for _ in range(8)]
+        [_interact(experiment.env, shaken, 6, (torch.tensor([-1.0]), torch.tensor([1.0]))) for _ in range(8)]
     )
     pilot.close(rows, experiment)
     assert pilot.mean.item() == pytest.approx(-1.0 / torque, abs=0.01)  # against the pull
@@ -185,10 +185,10 @@ def test_a_real_episode_ends_at_the_bounds_and_is_finite():
     def idle(tensordict):
         return tensordict.set("action", torch.zeros(1))
 
-    rows = interact(experiment.env, idle, 200, ends)
+    rows = _interact(experiment.env, idle, 200, ends)
     angles = rows["next", "state"][:, 0]
     assert len(rows) < 200 and angles[-1] > 0.6 and (angles[:-1] <= 0.6).all()
-    assert len(interact(experiment.env, idle, 5, ends)) == 5
+    assert len(_interact(experiment.env, idle, 5, ends)) == 5
 
 
 class Bursting(Inverted):

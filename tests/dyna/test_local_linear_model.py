@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from dynasindy.dyna.excite import _fit_local_model, interact
+from dynasindy.dyna.excite import _fit_local_model, _interact
 from dynasindy.envs import ControlEnv
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.systems import Signature, System
@@ -44,7 +44,7 @@ def tries(made, number):
     def shaken(tensordict):
         return tensordict.set("action", 0.3 * torch.randn(1, generator=generator))
 
-    return torch.cat([interact(made.env, shaken, 40, ENDS) for _ in range(number)])
+    return torch.cat([_interact(made.env, shaken, 40, ENDS) for _ in range(number)])
 
 
 @pytest.mark.parametrize(("measured", "within"), [(False, 0.06), (True, 0.06)])

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna.components import LoopSettings
-from dynasindy.dyna.excite import interact
+from dynasindy.dyna.excite import _interact
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.refit import _acting, _fit, _held_out_windows, first_fit, refit
 from dynasindy.envs import ControlEnv
@@ -57,7 +57,7 @@ def built(*factors, steps=80):
 @cache
 def flown():
     parts = built()
-    return interact(parts.env, parts.agent.explore, 80)
+    return _interact(parts.env, parts.agent.explore, 80)
 
 
 def setting(*factors):
@@ -196,13 +196,13 @@ def test_a_refit_at_the_cost_of_the_newest_episode_equals_one_to_all_data():
         return parts
 
     parts = _model()
-    excited = interact(parts.env, parts.excitation, 100)
+    excited = _interact(parts.env, parts.excitation, 100)
     parts.replay.extend_real(excited)
     first_fit(parts, excited)
     assert parts.world_model.additive
     rows = [excited]
     for _ in range(3):
-        rollout = interact(parts.env, parts.agent.explore, 160)
+        rollout = _interact(parts.env, parts.agent.explore, 160)
         parts.replay.extend_real(rollout)
         found = refit(parts, LoopSettings(3), rollout)
         held_out = torch.zeros(160, dtype=torch.bool)
@@ -220,13 +220,13 @@ def test_a_refit_that_is_taken_back_leaves_its_data_to_the_next(monkeypatch):
     parts = built()
     model = SindyModel(Xi().signature)
     parts = replace(parts, world_model=model, model_env=parts.plant.with_system(model, torch.float32))
-    excited = interact(parts.env, parts.agent.explore, 80)
+    excited = _interact(parts.env, parts.agent.explore, 80)
     parts.replay.extend_real(excited)
     first_fit(parts, excited)
     kept, before = model.coefficients.clone(), model.sums.count
     errors = iter([ModelError(0.0, 1e-3, torch.zeros(1, 6)), ModelError(0.0, 1.0, torch.zeros(1, 6))])
     monkeypatch.setattr("dynasindy.dyna.refit.replay_error", lambda *given: next(errors))
-    rollout = interact(parts.env, parts.agent.explore, 80)
+    rollout = _interact(parts.env, parts.agent.explore, 80)
     parts.replay.extend_real(rollout)
     assert not refit(parts, LoopSettings(1), rollout).kept
     assert torch.equal(model.coefficients, kept)
