@@ -26,8 +26,9 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -40,9 +41,12 @@ from dynasindy.control.period import as_planned, suited_period
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.forecast import Forecast, predict
 from dynasindy.evaluation.scenarios import Policy, Scenario, step_references
+from dynasindy.evaluation.summary import beyond_targets, evaluation_title, restless, summarise, to_text
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, wrong
 from dynasindy.identification.forecast_errors import forecast_errors
+from dynasindy.identification.identify import before_fit
+from dynasindy.identification.log_fit import fit_log
 from dynasindy.identification.recording_diagnostics import (
     low_signal_states,
     resolution,
@@ -62,9 +66,10 @@ from dynasindy.identification.verdict import (
 )
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.plan_settings import LONGEST, find_task_equilibria, unheld
-from dynasindy.progress import reporting_as
+from dynasindy.progress import reporting_as, say, width
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sensing.offset import acting
+from dynasindy.sentences import line, lines
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.reconstruction import rate_states
@@ -338,3 +343,43 @@ def _watching(model: SindyModel, sensors: Sensors, setup: ControlSetup, log: Sou
     observer = Observer(model, sensors, setup)
     observer.learn(y, u)
     return observer
+
+
+def model_of(source: Source | None, build: Callable[..., SindyModel], path: str | Path | None = None) -> SindyModel:
+    """Return the model of a file, or identify one and print what the fit says of itself.
+
+    A model that is fitted here may have a state more than the log, which follows an input or a measured state.
+
+    Args:
+        source: The log; None if there is none, and then there is a file.
+        build: Makes a model from a signature.
+        path: File of a model.
+
+    Raises:
+        ValueError: The file is damaged or of another plant.
+        TypeError: The world model is not sparse.
+    """
+    if path is not None or source is None:
+        model = SindyModel.load(str(path))
+        if source is not None:
+            source.with_states_of(model)  # refuses a model of another plant
+        return model
+    built = build(signature=source.signature)
+    if before := before_fit(built, source):
+        say(*lines(before))
+    found = fit_log(built, source)
+    say(
+        found.report.to_text(), *(f"found: {each}" if each.severity == "note" else line(each) for each in found.content)
+    )
+    return found.model
+
+
+def log_report(model: SindyModel, prediction: Forecast) -> str:
+    """Return what a user reads at the end: equations, the table of the flight that is drawn, the prediction."""
+    text = ["", "Identified equations", *(f"  {equation}" for equation in model.equations()), ""]
+    if prediction.evaluation is not None:
+        title = f"{evaluation_title(prediction.evaluation)}, {prediction.place}"
+        shown = prediction.evaluation
+        table = to_text(summarise(shown), title, shown.units, shown.told_steady_seconds, width())
+        text += [table, *lines([*beyond_targets(shown), *restless(shown)]), ""]
+    return "\n".join([*text, prediction.summary()])

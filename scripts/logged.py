@@ -20,7 +20,6 @@ from dynasindy.control import save
 from dynasindy.control.files import NAME
 from dynasindy.control.period import suited_period
 from dynasindy.dyna import Stopped
-from dynasindy.dyna.from_log import log_report, model_of
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, note
 from dynasindy.identification.recording_diagnostics import low_signal_findings
@@ -33,7 +32,7 @@ from dynasindy.sentences import command_word, lines
 from dynasindy.sindy import SindyModel
 from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.response import draw_evaluation
-from dynasindy.workbench import damped, forecast, plan, refit_shortage
+from dynasindy.workbench import damped, forecast, log_report, model_of, plan, refit_shortage
 
 
 def prepare(cfg: DictConfig) -> tuple[dict[str, Any], Source | None, dict[str, Any], list[Finding]]:

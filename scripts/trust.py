@@ -20,7 +20,7 @@ LARGEST, DEEPEST = 250_000, 20
 """Size [bytes] and depth that a config.yaml may have; those of runs have 3000 and 6."""
 CLASSES = (
     *("systems", "tasks", "envs", "excitation", "sindy", "planning", "agents", "sensing"),
-    *("evaluation.scenarios", "evaluation.disturbances", "evaluation.ablation", "dyna.components"),
+    *("evaluation.scenarios", "evaluation.disturbances", "evaluation.ablation", "dyna.experiment"),
 )
 BUILDERS = (
     *("sindy.named_libraries", "evaluation.scenarios.step_references"),

@@ -9,8 +9,7 @@ import torch
 
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna import Stopped
-from dynasindy.dyna.components import LoopSettings
-from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.experiment import LoopSettings, Recipe
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.run import Evaluating, run
 from dynasindy.envs import ControlEnv

@@ -27,7 +27,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from dynasindy.dyna.components import Components, PlantComponents
+from dynasindy.dyna.experiment import Components, PlantComponents
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.rollout_data import measurements_and_inputs, transitions
 from dynasindy.excitation import Excitation

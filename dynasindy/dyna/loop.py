@@ -16,8 +16,8 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 
 from dynasindy.dyna.callback import Callback, Episode, Place
-from dynasindy.dyna.components import Components, LoopSettings
 from dynasindy.dyna.excite import excite, explore
+from dynasindy.dyna.experiment import Components, LoopSettings
 from dynasindy.dyna.refit import first_fit, refit
 from dynasindy.planning import replay_error
 from dynasindy.progress import report_progress, track

@@ -23,8 +23,8 @@ from dynasindy.control import Controller, save
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import NAME
 from dynasindy.dyna.callback import Callback, Episode, Place
-from dynasindy.dyna.components import Components
 from dynasindy.dyna.excite import excitation_findings
+from dynasindy.dyna.experiment import Components
 from dynasindy.dyna.verdict import distrusted, judge_run
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, beyond_targets, column_headings, summarise

@@ -11,7 +11,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from dynasindy.dyna.components import Components, LoopSettings
+from dynasindy.dyna.experiment import Components, LoopSettings
 from dynasindy.envs.rollout_data import measurements_and_inputs, transitions
 from dynasindy.planning import ModelError, replay_error
 from dynasindy.progress import report_progress

@@ -10,8 +10,8 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from dynasindy.dyna.components import PlantComponents
 from dynasindy.dyna.excite import RegulatedExcitation, excitation_findings, excite
+from dynasindy.dyna.experiment import PlantComponents
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.rollout_data import disturb, observed, record_plant, transitions
 from dynasindy.excitation import Aprbs, Excitation

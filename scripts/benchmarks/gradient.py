@@ -21,8 +21,7 @@ from benchmarks.common import add_choices, add_output, add_seeds, carry_on, cpu_
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.control.integral import IntegralAction
 from dynasindy.dyna.callback import Callback, Place
-from dynasindy.dyna.components import Components, LoopSettings
-from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.experiment import Components, LoopSettings, Recipe
 from dynasindy.dyna.loop import train
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import PerturbedPlant

@@ -10,8 +10,7 @@ import torch
 
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna.callback import Callback, Place
-from dynasindy.dyna.components import Components, LoopSettings
-from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.experiment import Components, LoopSettings, Recipe
 from dynasindy.dyna.loop import train
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Multisine

@@ -9,9 +9,8 @@ import torch
 from tensordict import TensorDict
 
 from dynasindy.agents import TD3, DynaReplay
-from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.excite import _interact
-from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.experiment import LoopSettings, Recipe
 from dynasindy.dyna.refit import _acting, _fit, _held_out_windows, first_fit, refit
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.rollout_data import transitions

@@ -9,8 +9,7 @@ import torch
 
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna import Stopped
-from dynasindy.dyna.components import LoopSettings
-from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.experiment import LoopSettings, Recipe
 from dynasindy.dyna.recorder import Evaluating
 from dynasindy.dyna.run import run, run_report
 from dynasindy.envs import ControlEnv

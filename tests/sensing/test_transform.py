@@ -13,8 +13,7 @@ from torchrl.envs.utils import check_env_specs
 
 from dynasindy.agents import MEASURED_KEYS, TD3, DynaReplay
 from dynasindy.dyna.callback import Callback, Place
-from dynasindy.dyna.components import LoopSettings
-from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.experiment import LoopSettings, Recipe
 from dynasindy.dyna.loop import train
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import PerturbedPlant, SensorNoise

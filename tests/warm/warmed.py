@@ -19,7 +19,7 @@ MODULES = (
     *("scipy.integrate", "scipy.interpolate", "scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.special"),
     *("matplotlib.pyplot", "matplotlib.backends.backend_agg", "jinja2", "rich.progress", "rich.table", "PIL.Image"),
     *("dynasindy.dyna.run", "dynasindy.viz.run", "dynasindy.rig", "dynasindy.checking", "dynasindy.evaluation"),
-    *("dynasindy.export", "dynasindy.export.formats", "dynasindy.workbench", "dynasindy.dyna.from_log"),
+    *("dynasindy.export", "dynasindy.export.formats", "dynasindy.workbench"),
     *("dynasindy.identification.identify", "dynasindy.viz.animation"),
     *("dynasindy.viz.report", "dynasindy.rig.simulated"),
     *("hydra.experimental.callback", "hydra._internal.logging_config"),

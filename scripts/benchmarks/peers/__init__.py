@@ -30,7 +30,7 @@ from benchmarks.common import add_choices, add_output, append, cpu_seconds
 from benchmarks.gradient import CASES, KNOWN, PLANTS, build_recipe
 from benchmarks.peers import serve
 from dynasindy.dyna.callback import Callback
-from dynasindy.dyna.components import Components
+from dynasindy.dyna.experiment import Components
 from dynasindy.dyna.loop import train
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario, evaluate, step_references

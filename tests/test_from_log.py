@@ -7,7 +7,6 @@ import pytest
 import torch
 
 import dynasindy
-from dynasindy.dyna.from_log import log_report, model_of
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
@@ -16,7 +15,7 @@ from dynasindy.identification.source import Source
 from dynasindy.sindy import Regression, SindyModel
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.tasks import Step
-from dynasindy.workbench import tracking_task
+from dynasindy.workbench import log_report, model_of, tracking_task
 
 LIBRARY = ["1", "u", "Omega", "sin(theta)"]
 
