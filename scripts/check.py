@@ -12,7 +12,7 @@ def main(cfg: Any) -> None:
     """Print the verdict, write figures and numbers, and end with 1 where the loop is not stable."""
     from dynasindy.checking import ClosedLoop, Settings, check, check_verdict
     from dynasindy.checking.verdict import check_record, main_figures, unstable_targets
-    from dynasindy.export.write import Exported
+    from dynasindy.export.write import read
     from dynasindy.progress import say
     from dynasindy.safe_io import add_to_json, output_folder, write_json
     from dynasindy.sentences import check_lines
@@ -20,14 +20,14 @@ def main(cfg: Any) -> None:
     from dynasindy.viz.style import save_figures
 
     run = Path(cfg.run)
-    given = Exported.read(run)
-    if given.controller is None or given.model is None:
-        lack = "controller" if given.controller is None else "model of the plant"
+    controller, model = read(run)
+    if controller is None or model is None:
+        lack = "controller" if controller is None else "model of the plant"
         raise ValueError(f"{run} has no {lack}; give the folder of a run that has ended, with controller and model")
     names = ("points", "seconds", "reach", "grid", "draws", "seed")
     settings = Settings(**_range_and_start(cfg, run), **{name: cfg[name] for name in names})
     folder = output_folder(run, "check", cfg.folder)
-    found = check(ClosedLoop(given.controller, given.model), settings)
+    found = check(ClosedLoop(controller, model), settings)
     findings = check_verdict(found)
     write_json(folder / "check.json", check_record(found, findings))
     metrics = folder.parent / "metrics.json"

@@ -9,14 +9,14 @@ from cli import command
 @command("export")
 def main(cfg: Any) -> None:
     """Write the files, and print what each is and takes."""
-    from dynasindy.export.write import Exported, write
+    from dynasindy.export.write import read, write
     from dynasindy.progress import say
     from dynasindy.safe_io import output_folder
 
     run = Path(cfg.run)
-    exported = Exported.read(run)
+    controller, model = read(run)
     folder = output_folder(run, "export", cfg.folder)
-    say(*write(exported, folder, cfg.formats, cfg.fmi), f"Files: {folder}")
+    say(*write(controller, model, folder, cfg.formats, cfg.fmi), f"Files: {folder}")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 from pathlib import Path
 
 from dynasindy.control import Controller, load
@@ -14,57 +13,41 @@ from dynasindy.export.formats import casadi_source, latex_source
 from dynasindy.export.onnx import controller_onnx, policy_onnx
 from dynasindy.safe_io import read_json, write_text
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Stops
 from dynasindy.systems.compiler import compiler
 
 STEP = 0.01
 """Longest Runge-Kutta step of the plant's FMU, whatever the steps of a controller [s]."""
 
 
-@dataclass(frozen=True)
-class Exported:
-    """What is exported: a controller, a model, or both.
+def read(path: str | Path) -> tuple[Controller | None, SindyModel | None]:
+    """Read a controller or a model from its file, or both from a run folder; what is not there is None.
 
-    Attributes:
-        controller: The controller, if any.
-        model: The identified model, if any.
-        step: Longest Runge-Kutta step of the model [s].
-        stops: Mechanical stops of the plant, if any.
+    Raises:
+        FileNotFoundError: There is neither.
+        DamagedFileError: A file is damaged.
+        ValueError: A model cannot be read.
     """
-
-    controller: Controller | None
-    model: SindyModel | None
-    step: float = STEP
-    stops: Stops | None = None
-
-    @classmethod
-    def read(cls, path: str | Path) -> Exported:
-        """Read a controller or a model from its file, or both from a run folder.
-
-        Raises:
-            FileNotFoundError: There is neither.
-            DamagedFileError: A file is damaged.
-            ValueError: A model cannot be read.
-        """
-        given = Path(path)
-        file = given / NAME if given.is_dir() else given
-        model = given / "model.json" if given.is_dir() else given
-        alone = given.is_dir() and not file.is_file() and model.is_file()
-        if alone or (given.is_file() and read_json(given).get("format") != FORMAT):
-            return cls(None, SindyModel.load(model))
-        controller = load(given)
-        setup, observer = controller.setup, controller.observer
-        found = SindyModel.load(model) if observer is None and given.is_dir() and model.is_file() else None
-        if observer is not None and isinstance(observer.model, SindyModel):
-            found = observer.model
-        return cls(controller, found, min(STEP, setup.dt / max(1, setup.substeps)), setup.stops)
+    given = Path(path)
+    file, model = (given / NAME, given / "model.json") if given.is_dir() else (given, given)
+    if (given.is_dir() and not file.is_file() and model.is_file()) or (
+        given.is_file() and read_json(given).get("format") != FORMAT
+    ):
+        return None, SindyModel.load(model)
+    controller = load(given)
+    if controller.observer is not None:
+        known = controller.observer.model
+        return controller, known if isinstance(known, SindyModel) else None
+    return controller, SindyModel.load(model) if given.is_dir() and model.is_file() else None
 
 
-def write(what: Exported, folder: Path, formats: Collection[str], fmi: int = 3) -> list[str]:
+def write(
+    controller: Controller | None, model: SindyModel | None, folder: Path, formats: Collection[str], fmi: int = 3
+) -> list[str]:
     """Write an export.
 
     Args:
-        what: Controller and model.
+        controller: The controller, if any, whose mechanical stops the plant has.
+        model: The identified model of its plant, if any.
         folder: Where the files go; made if missing.
         formats: Some of `c`, `onnx`, `fmu` and `model`.
         fmi: Version of FMI, 2 or 3.
@@ -75,7 +58,6 @@ def write(what: Exported, folder: Path, formats: Collection[str], fmi: int = 3) 
     Raises:
         ValueError: Nothing could be written, or the controller or its model has no form in C.
     """
-    controller, model = what.controller, what.model
     found: list[str] = []
     missing: list[str] = []
     if controller is not None and "c" in formats:
@@ -94,7 +76,9 @@ def write(what: Exported, folder: Path, formats: Collection[str], fmi: int = 3) 
             found.append(_fmu(path, controller_fmu(controller, path, fmi)))
         if model is not None and model.signature.n_u:
             path = folder / "plant.fmu"
-            found.append(_fmu(path, plant_fmu(model, path, what.step, what.stops, fmi)))
+            setup = None if controller is None else controller.setup
+            step, stops = (STEP, None) if setup is None else (setup.dt / max(1, setup.substeps), setup.stops)
+            found.append(_fmu(path, plant_fmu(model, path, min(STEP, step), stops, fmi)))
     if "model" in formats and model is not None:
         texts = {"model.tex": ("the equations as LaTeX", latex_source(model))}
         texts |= {"model.py": ("the equations for CasADi", casadi_source(model))}
