@@ -13,7 +13,7 @@ import uuid
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from dynasindy import __version__
 from dynasindy.control import Controller
@@ -56,12 +56,8 @@ ABSENT = {
 """Those that answer with an error."""
 
 
-class _Variable(NamedTuple):
-    """A variable of an FMU: its name, its unit, and whether it is an output, or an input."""
-
-    name: str
-    unit: str
-    output: bool = False
+Variable = tuple[str, str, bool]
+"""A variable of an FMU: its name, its unit, and whether it is an output, or an input."""
 
 
 def controller_fmu(controller: Controller, path: Path, version: int = 3) -> bool:
@@ -83,10 +79,10 @@ def controller_fmu(controller: Controller, path: Path, version: int = 3) -> bool
     signature, seen = controller.signature, controller.measured
     units = dict(zip(signature.state_names, signature.state_units, strict=True))
     variables = (
-        *(_Variable(f"y_{state}", units[state]) for state in seen),
-        *(_Variable(f"r_{state}", units[state]) for state in controller.outputs),
-        *(_Variable(f"rate_{state}", f"{units[state]}/s") for state in controller.outputs),
-        *(_Variable(f"u_{word}", "1", True) for word in signature.input_names),
+        *((f"y_{state}", units[state], False) for state in seen),
+        *((f"r_{state}", units[state], False) for state in controller.outputs),
+        *((f"rate_{state}", f"{units[state]}/s", False) for state in controller.outputs),
+        *((f"u_{word}", "1", True) for word in signature.input_names),
     )
     text = _fill(
         "fmu_controller.c",
@@ -126,8 +122,8 @@ def plant_fmu(model: SindyModel, path: Path, step: float, stops: Stops | None = 
     text = _fill("fmu_plant.c", **words, step=number(step), delay=number(model.delay)) + _interface(version)
     units = zip(signature.state_names, signature.state_units, strict=True)
     variables = (
-        *(_Variable(f"u_{word}", "1") for word in signature.input_names),
-        *(_Variable(f"x_{state}", unit, True) for state, unit in units),
+        *((f"u_{word}", "1", False) for word in signature.input_names),
+        *((f"x_{state}", unit, True) for state, unit in units),
     )
     return _write(name, step, variables, {f"{name}.c": text}, path, version)
 
@@ -143,14 +139,14 @@ def _interface(version: int) -> str:
 
 
 def _write(
-    name: str, step: float, variables: Sequence[_Variable], texts: Mapping[str, str], path: Path, version: int
+    name: str, step: float, variables: Sequence[Variable], texts: Mapping[str, str], path: Path, version: int
 ) -> bool:
     """Write the archive of an FMU of a name, a period or step [s], variables in their order, and sources."""
     digest = hashlib.sha256("".join(texts.values()).encode()).hexdigest()
     token = "{" + str(uuid.uuid5(uuid.NAMESPACE_OID, digest)) + "}"
     sources = {file: text.replace(_GAP, token) for file, text in texts.items()}
     words: dict[str, Any] = {"name": name, "files": [file for file in sources if file.endswith(".c")]}
-    about = {"step": repr(step), "variables": variables, "units": sorted({variable.unit for variable in variables})}
+    about = {"step": repr(step), "variables": variables, "units": sorted({unit for _, unit, _ in variables})}
     more = {"version": version, "release": __version__, "token": token}
     described = _fill("modelDescription.xml", **words, **about, **more)
     files = {"modelDescription.xml": described.encode()}
