@@ -250,10 +250,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
     rest, begin = find_rest(loop, targets, seconds=seconds), _begin(loop, settings)
     good, farthest = rest.stable, int((targets - begin[loop.task.outputs]).square().sum(-1).argmax())
     rows = [rest.linear.row(k) if ok else None for k, ok in enumerate(good.tolist())]
-    both = [
-        ([], None) if row is None else (loop_margins(row), noise_gain(row))
-        for row in track("margins", rows, len(rows), "targets")
-    ]
+    margins = [loop_margins(row) if row else [] for row in track("margins", rows, len(rows), "targets")]
     smooth = without_dry_friction(loop, rest, targets)
     others, how = variants(loop.model, settings.draws, settings.seed)
     sensors = None if loop.observer is None else loop.observer.sensors
@@ -270,9 +267,9 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         begin,
         farthest,
         rest,
-        [margins for margins, _ in both],
+        margins,
         [loop_margins(smooth.row(k)) if smooth and ok else [] for k, ok in enumerate(good.tolist())],
-        [noise for _, noise in both],
+        [noise_gain(row) if row else None for row in rows],
         noise.where(noise.isfinite(), 0.0).sqrt().numpy(),
         steps,
         drawn,
