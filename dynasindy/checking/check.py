@@ -252,7 +252,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
     rows = [rest.linear.row(k) if ok else None for k, ok in enumerate(good.tolist())]
     margins = [loop_margins(row) if row else [] for row in track("margins", rows, len(rows), "targets")]
     smooth = without_dry_friction(loop, rest, targets)
-    others, how = variants(loop.model, settings.draws, settings.seed)
+    others, how = _variants(loop.model, settings.draws, settings.seed)
     sensors = None if loop.observer is None else loop.observer.sensors
     noise = torch.zeros(loop.signature.n_x) if sensors is None else sensors.variance(loop.signature).double()
     steps = loop.fly(begin.expand(len(targets), -1), targets, seconds)
@@ -273,7 +273,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         noise.where(noise.isfinite(), 0.0).sqrt().numpy(),
         steps,
         drawn,
-        spread(loop, targets[good], rest.select(good), others, how, seconds),
+        _spread(loop, targets[good], rest.select(good), others, how, seconds),
         _recovery(loop, settings, targets, rest, seconds),
         _limit_cycles(loop, targets, ~good, seconds, begin),
     )
@@ -348,19 +348,10 @@ def _half(values: Tensor) -> Tensor:
     return (values.amax(1) - values.amin(1)) / 2
 
 
-def variants(model: SindyModel, draws: int, seed: int) -> tuple[Tensor, str]:
-    """Draw coefficients that were found in data, all at a time.
+def _variants(model: SindyModel, draws: int, seed: int) -> tuple[Tensor, str]:
+    """Draw coefficients that were found in data, `(draws, n_features, n_x)`, and say by how much they are drawn.
 
-    They are drawn from the covariance of the fit, as far as the model tells it; else uniformly, within a share `DRAWN`
-    of each.
-
-    Args:
-        model: The model.
-        draws: Number of draws.
-        seed: Their seed.
-
-    Returns:
-        Xi of each plant, `(draws, n_features, n_x)`, and by how much they are drawn, in words.
+    They are drawn from the covariance of the fit, as far as the model tells it; else within a share `DRAWN` of each.
     """
     generator, xi = torch.Generator().manual_seed(seed), model.coefficients
     if model.covariance is None:
@@ -371,19 +362,10 @@ def variants(model: SindyModel, draws: int, seed: int) -> tuple[Tensor, str]:
     return model.covariance.draw(xi, draws, generator), how
 
 
-def spread(
+def _spread(
     loop: ClosedLoop, r: Tensor, nominal: RestingLoop, changed: Tensor, how: str = WITHIN, seconds: float = 20.0
 ) -> Spread:
-    """Let loops with other plants, and the same controller, rest at each target.
-
-    Args:
-        loop: The loop of the model.
-        r: Targets, `(n_targets, n_r)`.
-        nominal: Where that loop rests at them.
-        changed: Xi of the other plants, `(n, n_features, n_x)`.
-        how: By how much they are drawn, in words.
-        seconds: How long a loop may run to come to rest [s].
-    """
+    """Let loops with other plants `(n, n_features, n_x)` rest at each target, from where that of the model rests."""
     count = len(changed)
     radii, errors = (torch.zeros(len(r), count, *more, dtype=torch.float64) for more in ((), r.shape[-1:]))
     for k, target in enumerate(r.double() if count else []):

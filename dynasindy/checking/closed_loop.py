@@ -49,13 +49,10 @@ FULL = 0.99
 """Part of its way from the middle to a limit at which an input counts as saturated."""
 
 
-def longest_step(model: SindyModel, setup: ControlSetup, finest: float = FINEST) -> float:
+def _longest_step(model: SindyModel, setup: ControlSetup, finest: float = FINEST) -> float:
     """Return the longest Runge-Kutta step by which a model is moved well [s]: a shorter one ends periods where it does.
 
-    Args:
-        model: The model; what moves slowly is passed in few steps, however long a control period is.
-        setup: Control period, steps to begin with, stops and targets of its controller.
-        finest: A step that is short enough for whatever moves [s].
+    What moves slowly is passed in few steps, however long a control period is.
     """
     generator = torch.Generator().manual_seed(0)
     size = torch.tensor(model.signature.x_scale, dtype=torch.float64)
@@ -159,7 +156,7 @@ class ClosedLoop:
             raise ValueError("the model has other states, units or inputs than the controller; give that of its run")
         self.controller, self.model, self.task = controller, model, controller.setup.task
         self.stops, self.observer = controller.setup.stops, controller.observer
-        self.longest = longest_step(model, controller.setup) if step is None else step
+        self.longest = _longest_step(model, controller.setup) if step is None else step
         self.coefficients: Tensor | None = None
         self._late = split_delay(model.delay, self.dt)
         self.pending = self._late[0] + (self._late[1] > 0)

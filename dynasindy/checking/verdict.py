@@ -147,7 +147,7 @@ def _judged(code: str, keeps: bool, **values: Any) -> Finding:
     return (note if keeps else weak)(f"check.{code}", **values)
 
 
-def largest_error(found: Check, errors: Tensor, limits: Thresholds) -> dict[str, Any]:
+def _largest_error(found: Check, errors: Tensor, limits: Thresholds) -> dict[str, Any]:
     """Return the largest of errors `(rows, n_r)`, counted in typical sizes of the outputs, beside what it may be."""
     signature, outputs = found.loop.signature, found.loop.task.outputs
     ranged = (errors / _sizes(found)).amax(0)
@@ -180,10 +180,10 @@ def _stability(found: Check, limits: Thresholds) -> Finding:
     if good < count:
         bad = ~found.stable
         facts |= {"target": _target(found, int(bad.nonzero()[0])), "restless": int((~found.rest.still).sum())}
-        facts |= {"seconds": found.swings.seconds, "ends": largest_error(found, found.swings.error[bad], limits)}
+        facts |= {"seconds": found.swings.seconds, "ends": _largest_error(found, found.swings.error[bad], limits)}
         moved = found.swings.inputs.amax(0)
         i = int(moved.argmax())
-        facts |= {"swing": largest_error(found, found.swings.outputs, limits), "swing_limit": limits.swing}
+        facts |= {"swing": _largest_error(found, found.swings.outputs, limits), "swing_limit": limits.swing}
         facts |= {"input": found.loop.signature.input_names[i], "input_swing": float(moved[i])}
         return (wrong if bool(unstable_targets(found, limits).any()) else weak)("check.stability", **facts)
     k = int(np.argmax(found.rest.linear.radius))
@@ -233,7 +233,7 @@ def _noise(found: Check, limits: Thresholds) -> Finding:
 
 def _steps(found: Check, limits: Thresholds) -> list[Finding]:
     names, steps, begin = found.loop.signature.input_names, found.steps, found.beginning()
-    error = largest_error(found, steps.steady_error, limits)
+    error = _largest_error(found, steps.steady_error, limits)
     findings = [_judged("steady_error", error["share"] <= limits.error, begin=begin, **error)]
     for code, values, limit, more in (
         ("slew", steps.slew.nan_to_num(torch.inf), limits.slew, {}),
@@ -252,7 +252,7 @@ def _coefficients(found: Check, limits: Thresholds) -> list[Finding]:
         return []
     rests, radius = others.worst < 1, float(others.worst.max())
     away = int(found.drawn.away(found.reach).sum())
-    error = largest_error(found, others.farthest[rests] if rests.any() else 0 * found.targets[:1], limits)
+    error = _largest_error(found, others.farthest[rests] if rests.any() else 0 * found.targets[:1], limits)
     facts = {"plants": len(rests), "held": held, "how": others.how, "unstable": int((~rests).sum())}
     facts |= {"radius": radius, "slowest": _time_constant(radius, found.loop.dt), "ran_away": away}
     keeps = not (facts["unstable"] or away) and error["share"] <= limits.error
@@ -261,6 +261,6 @@ def _coefficients(found: Check, limits: Thresholds) -> list[Finding]:
 
 def _recovery(found: Check, limits: Thresholds) -> Finding:
     shares = {" and ".join(plane.names): plane.share for plane in found.planes}
-    error = largest_error(found, found.planes[0].steady_error.unsqueeze(0), limits) | {"limit": limits.recovered}
+    error = _largest_error(found, found.planes[0].steady_error.unsqueeze(0), limits) | {"limit": limits.recovered}
     facts = {"shares": shares, "reach": found.settings.reach, "tried": found.planes[0].back.numel()}
     return _judged("recovery", min(shares.values()) >= limits.recovered, **facts, **error)

@@ -24,14 +24,8 @@ RATE = 10
 """Pictures per second."""
 
 
-def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Frame]:
-    """Yield a picture of each `every`-th sample of one row of an evaluation: the plant, and its outputs so far.
-
-    Args:
-        evaluation: What to show.
-        row: Which of its references.
-        every: Control periods per picture.
-    """
+def _frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Frame]:
+    """Yield a picture of each `every`-th sample of one row of an evaluation: the plant, and its outputs so far."""
     time, y, r = evaluation.time.numpy(), evaluation.outputs[row].numpy(), evaluation.references[row].numpy()
     x, names = evaluation.trajectory["state"][row].tolist(), evaluation.output_names
     units = [*evaluation.units.values()]
@@ -96,7 +90,7 @@ def animate(evaluation: Evaluation, path: Path, seconds: float = 10.0) -> Path:
     speed = max(1, math.ceil(len(evaluation.time) * dt / seconds - 1e-6))
     every = max(1, round(speed / (RATE * dt)))
     row, _ = representative_episode(evaluation)
-    pictures = track("animation", frames(evaluation, row, every), math.ceil(len(evaluation.time) / every), "pictures")
+    pictures = track("animation", _frames(evaluation, row, every), math.ceil(len(evaluation.time) / every), "pictures")
     _write_gif(pictures, path, every * dt / speed)
     return path
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.closed_loop import FINE, longest_step
+from dynasindy.checking.closed_loop import FINE, _longest_step
 from dynasindy.control.controller import ControlSetup
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops, integrate
@@ -131,7 +131,7 @@ def test_stops_hold(loops):
 def test_the_step_is_as_long_as_the_plant_allows(carts, loops, tasks, spring):
     """A spring that takes minutes is passed in one step of 2 s, and ends where its cosine does, as does a fast one."""
     model, dt, finest = carts(spring=spring), 2.0, 0.01
-    step = longest_step(model, ControlSetup(tasks(), dt), finest)
+    step = _longest_step(model, ControlSetup(tasks(), dt), finest)
     assert (step == dt) == (spring == 1e-4) and step >= finest and (step == finest) == (spring > 1.0)
     if spring < 1e6:
         start, loop = torch.tensor([[1.0, 0.0]], dtype=torch.float64), loops(model=model, dt=dt, step=step)
@@ -145,7 +145,7 @@ def test_the_step_is_short_where_only_large_movements_or_inputs_make_the_plant_f
     """v' = -3 v^3 has a rate of 9 v^2, up to 324 per second at 6 m/s; v' = -30 u v one of 30 per second."""
     model = SindyModel(carts().signature, ["v", function], known={"p": "v"})
     model.set_coefficients(torch.tensor([[1.0, 0.0], [0.0, -3.0 if function == "v^3" else -30.0]], dtype=torch.float64))
-    assert longest_step(model, ControlSetup(tasks(), 0.1), 0.001) < 0.1
+    assert _longest_step(model, ControlSetup(tasks(), 0.1), 0.001) < 0.1
 
 
 @pytest.mark.parametrize(("delay", "pending"), [(0.0, 0), (0.1, 1), (0.3, 2)])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.check import Spread, spread, variants
+from dynasindy.checking.check import Spread, _spread, _variants
 from dynasindy.checking.linear_loop import find_rest
 from dynasindy.sindy import Refinement, SindyModel
 from dynasindy.sindy.covariance import Covariance
@@ -16,7 +16,7 @@ from dynasindy.systems.transitions import Transitions
 
 def test_coefficients_of_the_data_are_drawn_and_no_other(carts):
     model = carts(friction=0.5, spring=2.0)
-    found = variants(model, 4, 0)[0]
+    found = _variants(model, 4, 0)[0]
     share = (found[:, :, 1] / model.coefficients[:, 1] - 1).abs()
     assert 0 < float(share.max()) <= 0.05
     np.testing.assert_array_equal(found[:, :, 0], model.coefficients[:, 0].expand(4, -1))
@@ -24,11 +24,11 @@ def test_coefficients_of_the_data_are_drawn_and_no_other(carts):
 
 def test_draws_spread_and_go_together_as_the_covariance_of_the_fit_says(carts):
     model = carts(friction=0.5, spring=2.0)
-    assert variants(model, 1, 1)[1] == "each within 5 % of itself, as the model tells no standard errors"
+    assert _variants(model, 1, 1)[1] == "each within 5 % of itself, as the model tells no standard errors"
     wanted = torch.tensor([[0.01, -0.009], [-0.009, 0.04]], dtype=torch.float64)
     places = torch.tensor([1, 2]), torch.tensor([1, 1])  # friction and spring
     model.covariance = Covariance(*places, torch.linalg.cholesky(wanted))
-    drawn, how = variants(model, 4000, 1)
+    drawn, how = _variants(model, 4000, 1)
     np.testing.assert_allclose(torch.cov(drawn[:, 1:, 1].mT), wanted, rtol=0.1)
     assert drawn[:, 0].std(0).max() == drawn[:, :, 0].std(0).max() == 0  # what is known, and what was not fitted
     assert how == "from the covariance of the fit, with standard errors of 10 to 20 %"
@@ -44,7 +44,7 @@ def test_equations_that_are_all_given_have_no_uncertainty(method):
     model = SindyModel(plant, ["a", "u"], known={"a": "u"}, refinement=refinement)
     for learn in (model.fit, model.update) if model.additive else (model.fit,):
         assert learn(data).accuracy == [] and model.covariance is None and model.equations() == ["a' = u"]
-        assert torch.equal(variants(model, 3, seed=0)[0], model.coefficients.expand(3, 2, 1))
+        assert torch.equal(_variants(model, 3, seed=0)[0], model.coefficients.expand(3, 2, 1))
 
 
 def test_error_and_eigenvalues_with_other_plants_are_those_of_paper(loops, carts):
@@ -54,7 +54,7 @@ def test_error_and_eigenvalues_with_other_plants_are_those_of_paper(loops, carts
     plants = [(1.2, 1.0), (0.8, 1.0), (1.0, 1.2), (1.0, 0.8)]
     xi = model.coefficients.expand(4, -1, -1).clone()
     xi[:, [0, 2], 1] *= torch.tensor(plants).double()
-    found = spread(loop, r, find_rest(loop, r), xi)
+    found = _spread(loop, r, find_rest(loop, r), xi)
     for k, (b, s) in enumerate(plants):
         assert found.error[0, k].item() == pytest.approx(0.3 - 0.6 * b / (s + 2 * b), abs=1e-7)
         flow = torch.linalg.matrix_exp(0.1 * torch.tensor([[0.0, 1.0, 0.0], [-s, 0.0, b], [0.0, 0.0, 0.0]])).double()

@@ -12,7 +12,7 @@ from dynasindy.envs.drawing import draw
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.systems import Pendulum, Tras
 from dynasindy.tasks import Step, Tracking, TrackingReward
-from dynasindy.viz.animation import animate, frames
+from dynasindy.viz.animation import _frames, animate
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def evaluation() -> Evaluation:
 
 
 def test_pictures_are_of_the_shown_row_and_sample(evaluation: Evaluation) -> None:
-    pictures = list(frames(evaluation, row=1, every=2))
+    pictures = list(_frames(evaluation, row=1, every=2))
     assert len(pictures) == 5
     state = evaluation.trajectory["state"][1, 4]
     scene = draw(evaluation.signature, state.tolist(), [0.1, 0.1], (0, 1), "t = 0.2 s")
@@ -37,7 +37,7 @@ def test_other_plants_are_drawn_with_their_dial() -> None:
     env = ControlEnv(system, task, substeps=1)
     swing = Scenario("swing", Step([[0.3]]), seconds=0.2)
     shown = evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 1)), swing)
-    (first, _) = frames(shown)
+    (first, _) = _frames(shown)
     assert first.shape == (360, 180 + 360, 3)
 
 
