@@ -86,11 +86,6 @@ class Settings:
         return torch.tensor([self.low, self.high], dtype=torch.float64)
 
     @property
-    def middle(self) -> Tensor:
-        """Middle of the target range, `(n_r,)`."""
-        return self.ends.mean(0)
-
-    @property
     def targets(self) -> Tensor:
         """All combinations of targets, `(points ** n_r, n_r)`."""
         parts = [k / (self.points - 1) for k in range(self.points)] if self.points > 1 else [0.5]
@@ -285,7 +280,7 @@ def _begin(loop: ClosedLoop, settings: Settings) -> Tensor:
     low, high = ranges.state_limits(loop.signature, settings.bounds)
     if settings.start or bool(((low <= 0) & (high >= 0)).all()):
         return ends.mean(0)
-    return guess_rest(loop, settings.middle.unsqueeze(0))[0, loop.parts["x"]]
+    return guess_rest(loop, settings.ends.mean(0, keepdim=True))[0, loop.parts["x"]]
 
 
 def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: RestingLoop, seconds: float) -> list[Plane]:
@@ -302,7 +297,7 @@ def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: Resti
     pairs = pairs or [(a, b) for a in task.outputs for b in range(signature.n_x) if a != b][:1]
     if not pairs:
         return []
-    r, points = settings.middle.unsqueeze(0), settings.grid
+    r, points = settings.ends.mean(0, keepdim=True), settings.grid
     held = torch.isclose(targets, r, atol=0.0).all(-1).nonzero().flatten()  # none of an even number along an output
     home = rest.select(held) if len(held) else find_rest(loop, r, seconds=seconds)
     x, scale = home.z[0, loop.parts["x"]], torch.tensor(signature.x_scale, dtype=torch.float64)
