@@ -368,7 +368,7 @@ def keeps_time(column: Array, t: Array) -> bool:
     """Tell whether a column grows as a time does, on a straight line or in even ticks of more than a row."""
     rows = np.isfinite(column) & np.isfinite(t)
     x, t = column[rows], t[rows]
-    if len(t) < COUNTED or not grows(t):
+    if len(t) < COUNTED or (np.diff(x[:1000]) < 0).mean() > 0.1 or not grows(t):
         return False
     x = np.unwrap(x, period=next((size for size in OVERFLOWS if np.ptp(x) < size), np.inf))
     steps = np.diff(x)

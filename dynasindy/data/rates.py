@@ -167,16 +167,11 @@ def _increments(data: Transitions, rate: int) -> Tensor:
     if bool((first + last).isnan().any()):
         import pandas as pd  # half a second of imports that data without gaps do without
 
-        segments = data.begins().long().cumsum(0)
-        sampled = torch.stack([data.begins(), torch.ones(len(data), dtype=torch.bool)], -1)
-        samples = pd.Series(torch.stack([first, last], -1)[sampled].numpy())
-        segment = segments.unsqueeze(-1).expand(-1, 2)[sampled].numpy()
-        lost = samples.isna()
-        long = lost & (lost.groupby((~lost).cumsum()).transform("sum") > 10)  # what a straight line would invent
-        filled = samples.groupby(segment).transform(lambda each: each.interpolate(limit_area="inside")).mask(long)
-        values = torch.from_numpy(filled.to_numpy(copy=True))
-        places = torch.arange(len(data)) + segments - 1  # a segment has one sample more than rows
-        first, last = values[places], values[places + 1]
+        segment, x = data.begins().cumsum(0).numpy(), pd.Series(first.numpy())
+        gap = x.isna() & (x.isna().groupby(x.notna().cumsum()).transform("sum") > 10)  # a line would invent it
+        x = x.groupby(segment).transform(lambda each: each.interpolate(limit_area="inside")).mask(gap)
+        following = x.groupby(segment).shift(-1).fillna(pd.Series(last.numpy()))
+        first, last = (torch.from_numpy(each.to_numpy(copy=True)) for each in (x, following))
     return 0.5 * data.dt * (first + last)
 
 

@@ -159,7 +159,10 @@ def _read(path: Path, changed: int, size: int) -> Table:
 def _lost_code(column: Array) -> float | None:
     """Return the number that stands for samples that were lost: a usual one, farther off the others than these lie."""
     finite = column[np.isfinite(column)]
+    usual = np.median(finite[:: 1 + len(finite) // 1000]) if len(finite) else 0.0
     for end in (finite.min(), finite.max()) if len(finite) else ():
+        if 2 * abs(end - usual) <= np.ptp(finite):  # not so far off
+            continue
         lost = finite == end
         rest, known = finite[~lost], abs(end) in CODES or abs(end) >= HUGE
         # Another number is one, too, where a column that moves is there again and again, for a few rows each time.

@@ -149,7 +149,7 @@ def _moved_alone(model: SindyModel) -> dict[str, str]:
     found, inputs = {}, {*model.signature.input_names}
     for name, column in zip(model.signature.state_names, model.coefficients.unbind(-1), strict=True):
         features = _used(model.library.features, column)
-        read = {v for feature in features for v in feature.variables}
+        read = _variables(features)
         settles = any(float(size) < 0 for word, size in zip(model.library.names, column, strict=True) if word == name)
         if (
             settles
@@ -169,8 +169,7 @@ def targets_beyond_log(model: SindyModel, logged: Tensor, targets: Mapping[str, 
         logged: States of the log, `(N, n_x)`, NaN where they were not measured.
         targets: Lower and upper end of the targets of each output.
     """
-    used, findings = _used(model.library.features, model.coefficients.any(-1)), []
-    read = {variable for feature in used for variable in feature.variables}
+    read, findings = _variables(_used(model.library.features, model.coefficients.any(-1))), []
     for name, (low, high) in targets.items():
         place = model.signature.state_index(name)
         seen = logged[:, place][logged[:, place].isfinite()]
@@ -191,7 +190,7 @@ def require_controlled(model: SindyModel, outputs: Sequence[str]) -> None:
     """
     names, moved = model.signature.state_names, set(model.signature.input_names)
     read = {
-        name: {v for feature in _used(model.library.features, column) for v in feature.variables}
+        name: _variables(_used(model.library.features, column))
         for name, column in zip(names, model.coefficients.unbind(-1), strict=True)
     }
     for _ in names:
@@ -222,6 +221,11 @@ def inputs_beyond_log(model: SindyModel, logged: Tensor, applied: Tensor) -> lis
 def _used(features: Sequence[Feature], coefficients: Tensor) -> list[Feature]:
     """Return the functions whose coefficients `(n_features,)` are not zero."""
     return [features[k] for k in coefficients.nonzero().flatten().tolist()]
+
+
+def _variables(features: Sequence[Feature]) -> set[str]:
+    """Return the states and inputs that functions read."""
+    return {name for feature in features for name in feature.variables}
 
 
 def _bent(feature: Feature, read: set[str], signature: Signature) -> bool:
@@ -318,7 +322,7 @@ def idle_states(model: SindyModel, data: Transitions) -> list[Finding]:
         data: The log, NaN where a state was not measured.
     """
     names, inputs = model.signature.state_names, model.signature.input_names
-    read = {name for f in _used(model.library.features, model.coefficients.any(-1)) for name in f.variables}
+    read = _variables(_used(model.library.features, model.coefficients.any(-1)))
     idle = data.x.isnan().all(0) & ~model.coefficients.any(0)
     still = [n for n, each in zip(names, idle.tolist(), strict=True) if each and n not in read]
     if not still:
