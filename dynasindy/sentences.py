@@ -504,6 +504,7 @@ def check_summary(findings: Sequence[Finding]) -> str:
 SENTENCES: dict[str, str | Callable[..., str]] = {
     # reading
     "log.no_headings": "the file has no headings; its columns are called {names:list}",
+    "log.long_format": "each row holds one signal; each of them has a column: {signals:list}",
     "log.title_lines": "{count} lines above the headings were skipped",
     "log.sheet": "the sheet {sheet} is read, which holds most; left out: {others:list}",
     "log.other_lengths": "left out, as the others have {length} values: {names:list}",

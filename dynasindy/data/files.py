@@ -202,7 +202,7 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     lower = rows[len(rows) // 2 :]
     width = max(map(len, lower))
     common = Counter(map(len, lower)).most_common(1)[0][0]
-    if common > MOST or common > 10 * len(rows):
+    if common > MOST or common > max(50, 10 * len(rows)):
         raise ValueError(
             f"{path} has {common} values in a line; allowed are {MOST}, one a signal, and a line a sample: exchange "
             "rows and columns"

@@ -461,7 +461,7 @@ def _period_of_samples(part: _Part) -> float:
     """Return the time between two rows, or between samples of a state where rows of several streams lie unevenly."""
     steps, usual = np.diff(part.t), period_of(part.t)
     most = max(part.x.values(), key=lambda column: int(np.isfinite(column).sum()))
-    streams = (np.abs(steps - usual) < 0.2 * usual).mean() < 0.5 and np.isfinite(most).sum() > 1
+    streams = (np.abs(steps - usual) < 0.2 * usual).mean() < 0.9 and 1 < np.isfinite(most).sum() < 0.9 * len(most)
     return period_of(part.t[np.isfinite(most)]) if streams else usual
 
 

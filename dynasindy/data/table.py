@@ -121,6 +121,7 @@ def read_columns(path: Path) -> Table:
 @lru_cache(maxsize=2)
 def _read(path: Path, changed: int, size: int) -> Table:
     raw, findings = read_file(path)
+    raw, findings = _with_signals_apart(raw, findings)
     headings = plain_headings([" ".join(str(heading).split()) for heading in raw.columns])
     values, words, dated = np.empty((len(headings), len(raw))), dict[str, Words](), set[str]()
     kept = list[int]()
@@ -154,6 +155,21 @@ def _read(path: Path, changed: int, size: int) -> Table:
     frame = pd.DataFrame(whole.T, index=raw.index, columns=[headings[k] for k in kept], copy=False)
     table = Table(frame, words, frozenset(dated), tuple(findings))
     return _with_one_clock(_with_fractions(_with_whole_dates(table)))
+
+
+def _with_signals_apart(raw: pd.DataFrame, findings: list[Finding]) -> tuple[pd.DataFrame, list[Finding]]:
+    """Return a table of which each row held a time, the name of a signal, and its value, with a column a signal."""
+    if raw.shape[1] != 3 or not raw.columns.is_unique:
+        return raw, findings
+    words = [k for k in raw if raw[k].dtype.kind not in "biuf" and 1 < raw[k].nunique() < len(raw) / 20]
+    if len(words) != 1:
+        return raw, findings
+    time, value = (k for k in raw if k != words[0])
+    if not is_clock(str(time)) or raw[value].dtype.kind not in "biuf":
+        return raw, findings
+    lines = pd.Series(raw.index, raw.index).groupby(raw[time], sort=False).first()
+    wide = raw.pivot_table(value, time, words[0], aggfunc="last", sort=False).reindex(lines.index)
+    return wide.reset_index().set_axis(lines, axis=0), [*findings, note("log.long_format", signals=[*wide])]
 
 
 def _lost_code(column: Array) -> float | None:
@@ -227,7 +243,8 @@ def _with_one_clock(table: Table) -> Table:
     for begin, heading in others:
         for name in table.headings:
             if re.search(rf"(?:^|[_ ./]){re.escape(begin)}(?:$|[_ ./])", name) and name != heading:
-                then, column = table.frame[[heading, name]].dropna().to_numpy().T
+                both = np.stack([table.column(heading), table.column(name)])
+                then, column = both[:, ~np.isnan(both).any(0)]
                 if np.median(np.diff(then)) > 1.5 * np.nanmedian(np.diff(now)):
                     rows = np.searchsorted(0.5 * (now[1:] + now[:-1]), then)
                     frame[name] = pd.Series(column, frame.index[rows]).groupby(level=0).last().reindex(frame.index)

@@ -301,3 +301,19 @@ def test_a_switch_that_is_missing_now_and_then_is_one(tmp_path):
     (tmp_path / "l.csv").write_text("\n".join(["time,angle,rate,valve", *rows]))
     found = LoggedData(str(tmp_path / "l.csv")).recording()
     assert found.signature.input_names == ("valve",) and set(found.transitions.u[:, 0].tolist()) == {0.0, 1.0}
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.002])
+def test_rows_of_a_time_a_name_and_a_value_have_a_column_a_name(tmp_path, apart):
+    rows = (
+        f"{t + k * apart:.4f},{name},{value:.6f}"
+        for t, *values in zip(T, ANGLE, RATE, COMMAND, strict=True)
+        for k, (name, value) in enumerate(zip(("angle", "rate", "u"), values, strict=True))
+    )
+    (tmp_path / "l.csv").write_text("\n".join(["time,signal,value", *rows]))
+    found = LoggedData(str(tmp_path / "l.csv")).recording()
+    if not apart:
+        _require_truth(found)
+    assert (found.signature.state_names, found.signature.input_names) == (("angle", "rate"), ("u",))
+    assert found.transitions.dt == pytest.approx(0.01) and len(found.transitions) >= ROWS - 3
+    assert found.transitions.x.isfinite().double().mean() > 0.95
