@@ -100,16 +100,12 @@ def _turned(plain: Function, name: str, sign: str) -> Function:
     return Function(name, both, plain.text.replace("{0}", f"{{2}} {sign} {{3}}"), plain.parametric)
 
 
-for _plain in ("sin", "cos", "per_cos2"):
-    for _ending, _sign in (("sum", "+"), ("gap", "-")):
-        _REGISTRY[f"{_plain}_{_ending}"] = _turned(_REGISTRY[_plain], f"{_plain}_{_ending}", _sign)
-
 QUOTIENTS = ("per_cos2", "per_cos2_sum", "per_cos2_gap")
 """Functions that are written as a division."""
 _BUILT_IN = frozenset(_REGISTRY)
-_SUFFIXES = {"__sum": "+", "__gap": "-"}
-"""Endings of functions of a sum or a difference that are made when they are asked for, and its sign."""
-_EVERYWHERE = ("abs", "sign", "exp", "tanh", "bell")
+_SIGN_OF = {"_sum": "+", "_gap": "-"}
+"""Endings of functions of a sum or a difference, which are made when they are asked for, and its sign."""
+_EVERYWHERE = ("sin", "cos", "abs", "sign", "exp", "tanh", "bell", "per_cos2")
 """Functions of the package of which a difference may be the argument, as they have a value at each number."""
 
 
@@ -120,7 +116,7 @@ def is_registered(name: str) -> bool:
 
 def _of_one(name: str) -> str:
     """Return the name of the function of one variable that one of a sum or a difference is made of, or the name."""
-    return name[:-5] if name not in _REGISTRY and name[-5:] in _SUFFIXES else name
+    return name[:-4].rstrip("_") if name not in _REGISTRY and name[-4:] in _SIGN_OF else name
 
 
 def of_two(name: str, sign: str) -> str:
@@ -129,16 +125,13 @@ def of_two(name: str, sign: str) -> str:
     Raises:
         ValueError: the function is not known, or takes no sum and no difference.
     """
-    ending = "sum" if sign == "+" else "gap"
-    if f"{name}_{ending}" in _BUILT_IN:
-        return f"{name}_{ending}"
     if function(name).n_variables != 1 or (name in _BUILT_IN and name not in _EVERYWHERE):
         raise ValueError(
-            f"function {name!r} takes no sum and no difference of two variables; those that do are sin, cos, "
+            f"function {name!r} takes no sum and no difference of two variables; those that do are "
             f"{', '.join(_EVERYWHERE)}, and each function of your own of one argument. For a root of either sign, "
             f"{_ways('flow', '{0} / sqrt(larger(fabs({0}), 0.001))')}; then flow(a {sign} b) is one of the library"
         )
-    return f"{name}__{ending}"
+    return f"{name}_sum" if sign == "+" else f"{name}_gap"
 
 
 def unregister_function(name: str) -> None:
@@ -185,7 +178,7 @@ def function(name: str) -> Function:
     if name in _REGISTRY:
         return _REGISTRY[name]
     if (plain := _of_one(name)) in _REGISTRY and (plain not in _BUILT_IN or plain in _EVERYWHERE):
-        return _turned(_REGISTRY[plain], name, _SUFFIXES[name[-5:]])
+        return _turned(_REGISTRY[plain], name, _SIGN_OF[name[-4:]])
     raise FunctionError(
         f"function {plain!r} is not known; allowed are {', '.join(sorted(_REGISTRY))}. If it is one of your own, "
         f"{_ways(plain, '{0} / (1 + fabs({0}))')}, or import the module that does, before a library is built or a "

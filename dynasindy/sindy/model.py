@@ -57,7 +57,6 @@ from dynasindy.sindy.shooting import (
     COARSE,
     RunsAway,
     relative_step,
-    states_without_scale,
     substeps_for,
 )
 from dynasindy.sindy.trajectory_fit import selection_rows
@@ -80,8 +79,6 @@ LONGEST = 1e9
 """Longest step and delay that a file may have [s]."""
 LARGEST_SYSTEM = 200
 """Number of states beyond which a model is taken for damaged."""
-MANY = 8
-"""Trajectories that are worth instructions for several rows at once."""
 STEPS, EXACT = 0.5, 1e-6
 """Share of a differential equation's error on data kept back below which a difference equation is taken instead, and an
 error [ranges a second] that no plan can feel."""
@@ -230,18 +227,17 @@ class SindyModel(WorldModel):
         Returns:
             States, `(*batch, T + 1, n_x)`, the start first.
         """
-        rows, batch = x0.shape[:-1].numel(), x0.shape[:-1]
-        if len(batch) and (rows >= MANY or u_end is not None) and self._by_instructions(x0, u):
-            last = None if u_end is None else u_end.flatten(0, -3)
-            flat = x0.flatten(0, -2), u.flatten(0, -3)
+        if self._by_instructions(x0, u):
+            last = None if u_end is None else u_end.reshape(-1, *u.shape[-2:])
+            flat = x0.reshape(-1, x0.shape[-1]), u.reshape(-1, *u.shape[-2:])
             found = simulate(self.library, self.coefficients, *flat, dt, substeps, last)
-            return torch.cat([x0.unsqueeze(-2), found.unflatten(0, batch)], -2)
+            return torch.cat([x0.unsqueeze(-2), found.reshape(*u.shape[:-1], -1)], -2)
         last = None if u_end is None else u_end.movedim(-2, 0)
         states = torch.cat([x0.unsqueeze(0), trajectory(self, x0, u.movedim(-2, 0), dt, substeps, last)])
         return states.movedim(0, -2)
 
     def _by_instructions(self, x: Tensor, u: Tensor) -> bool:
-        """Tell whether trajectories of many rows are computed by instructions, for which nothing is compiled."""
+        """Tell whether trajectories are computed by instructions, for which nothing is compiled."""
         if not self.machine_code or type(self).forward is not SindyModel.forward or self._forward_hooks:
             return False
         double = x.dtype == u.dtype == torch.float64 and x.device.type == u.device.type == "cpu"
@@ -394,22 +390,28 @@ class SindyModel(WorldModel):
         A library that was cut before is cut again, however many data there are: the whole one may take too long.
         """
         start, self.sums = time.perf_counter(), RunningSums(len(self.library), self.signature.n_x)
-        data = self._checked(transitions)
-        rates, first = rate_states(self.library, self.constraints), None
+        data, constraints, cut = self._checked(transitions), self.constraints, list[Finding]()
+        rates, first = rate_states(self.library, constraints), None
         guess = settle_lag_states(reconstruct(data, rates), self.followers)
         if self.initial is not None:
-            first = torch.where(self.constraints.free, self.initial, self.constraints.offset)
+            first = torch.where(constraints.free, self.initial, constraints.offset)
+            hidden = data.x.isnan().all(0) & data.x_next.isnan().all(0)
+            units, unscaled = _units_of_guess(self.library, first, constraints.free, hidden)
+            if unscaled:
+                constraints = Constraints(constraints.free & ~units, torch.where(units, first, constraints.offset))
+                cut.append(note("fit.unscaled", states=unscaled))
             late = delay_inputs(guess, self.initial_delay or 0.0)
             led = simulate_hidden_states(self.library, first, data, late, rates)
             started = _start_lag_states(self.library, first, led, self.followers)
             guess = replace(started, u=data.u, u_end=data.u_end)
         seen = RegressionData(data, guess, rates)
-        rows, cut = seen.rows(self.library), list[Finding]()
+        rows = seen.rows(self.library)
         # Where states were not all measured, regressions choose badly, and trajectories from the whole library.
         fewest = 1 if seen.half else FEWEST_EACH
         few = len(data) < fewest * len(self.library) or (cut_before and not seen.half)
         if self._cuts and few:
-            rows, cut = self._cut(rows)
+            rows, cut = self._cut(rows)  # where there is no first guess
+            constraints = self.constraints
         self.sums.add(rows)
         if first is None:
             self._solve(self.sums, seen.dependent)
@@ -418,12 +420,10 @@ class SindyModel(WorldModel):
         else:
             self.set_coefficients(first)
         self.delay = 0.0
-        refined = self._refine(data, guess, None if first is None else self.initial_delay)
+        refined = self._refine(data, guess, None if first is None else self.initial_delay, constraints)
         findings = (*cut, *refined.findings)
         if self.refinement is not None:
             findings += (*_unmoved_shapes(self.library, self.coefficients),)
-        if unscaled := states_without_scale(self.library, self.coefficients, self.constraints.free, data):
-            findings = (note("fit.unscaled", states=[*unscaled]), *findings)
         return FitReport.of(
             self.library,
             self.coefficients,
@@ -581,19 +581,18 @@ class SindyModel(WorldModel):
         self.library = library
         return data
 
-    def _refine(self, data: Transitions, guess: Transitions, late: float | None) -> Refined:
+    def _refine(self, data: Transitions, guess: Transitions, late: float | None, known: Constraints) -> Refined:
         """Refine the coefficients, and return what was found: what is there where there is no refinement."""
         before = Refined(self.library, self.coefficients, self.delay)
         if self.refinement is None:
             return before
         try:
-            found = self.refinement.run(
-                self.library, self.coefficients, self.constraints, data, guess, late, self.named in GENERAL
-            )
+            general = self.named in GENERAL
+            found = self.refinement.run(self.library, self.coefficients, known, data, guess, late, general)
         except RunsAway as error:
             raise Diverged(f"model learning: {error}") from error
         refined = require_finite(self.library, found.coefficients, "refinement")
-        free = self.constraints.free
+        free = known.free
         if self.coefficients[free].any() and not refined[free].any():
             return before._replace(findings=(weak("fit.dropped"),))
         self.set_coefficients(refined)
@@ -698,6 +697,42 @@ def _by_period(data: Transitions) -> Transitions:
     last = None if data.u_end is None else data.u_end[n - 1 :: n]
     rows = data.x[::n], data.u[::n], data.x_next[n - 1 :: n], n * data.dt, data.segment[::n]
     return Transitions(*rows, u_end=last)
+
+
+DEGREES = {"id": 1.0, "abs": 1.0, "sqrt": 0.5, "sign": 0.0}
+"""Elementary functions of one variable that are c^p times themselves where it is c times itself, and p."""
+
+
+def _units_of_guess(library: Library, xi: Tensor, free: Tensor, hidden: Tensor) -> tuple[Tensor, list[str]]:
+    """Return coefficients of a first guess that set the units of hidden states which nothing tells, and these states.
+
+    In another unit of a state each coefficient is multiplied by a power of one number. A unit is told by a coefficient
+    that is given, and by a function that is no power, as a sine or a bend at a level.
+    """
+    names, used = library.signature.state_names, xi != 0
+    degrees = torch.tensor([[_degree(f, name) for name in names] for f in library.features], dtype=torch.float64)
+    degrees = torch.where(used.any(-1, keepdim=True), degrees, 0.0)
+    units = torch.eye(len(names), dtype=torch.float64)
+    exponents = torch.where(used.unsqueeze(-1), units - degrees.nan_to_num().unsqueeze(1), 0.0)
+    exponents *= hidden & ~degrees.isnan().any(0)
+    known = torch.cat([units[:1] * 0, exponents[used & ~free]])
+
+    def _more(row: Tensor) -> bool:
+        wider = torch.linalg.matrix_rank(torch.cat([known, row.unsqueeze(0)]))
+        return bool(wider > torch.linalg.matrix_rank(known))
+
+    unscaled = [name for i, name in enumerate(names) if bool(exponents[..., i].any()) and _more(units[i])]
+    chosen = torch.zeros_like(used)
+    for k, i in sorted((used & free).nonzero().tolist(), key=lambda place: not hidden[place[1]]):
+        if _more(exponents[k, i]):
+            chosen[k, i], known = True, torch.cat([known, exponents[k, i].unsqueeze(0)])
+    return chosen, unscaled
+
+
+def _degree(feature: Feature, name: str) -> float:
+    """Return the power with which a function grows with a variable; NaN if it is no power."""
+    mine = [factor for factor in feature.factors if name in factor.variables]
+    return sum(each.power * (math.nan if each.fitted else DEGREES.get(each.function, math.nan)) for each in mine)
 
 
 def _start_lag_states(library: Library, xi: Tensor, guess: Transitions, followers: Mapping[int, int]) -> Transitions:

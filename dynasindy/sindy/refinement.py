@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -240,57 +240,52 @@ class _Fit:
         fine = refine_delay(rough, data.dt, self.recording.longest, worth, self._delay_cost(found), whole)
         return rough if abs(fine - rough) < ALIKE * data.dt else fine
 
+    def _descent(self, window: int, **more: Any) -> Descent:
+        return Descent(window, select=self.settings.select, penalty=self.settings.penalty, **more)
+
     def _by_single_steps(self, first: Model, delay: float) -> Refined:
         """Return the model of least one-step error, that of trajectories of one interval without noise."""
-        data, (library, xi) = self.recording.delayed(delay).guess, first
+        data = self.recording.delayed(delay).guess
         change = data.x_next - data.x
         floor = self.settings.tolerance * change.square().mean(0).sqrt()
-        descent = Descent(1, joined=False, floor=floor, select=self.settings.select, penalty=self.settings.penalty)
-        flow = refine_trajectory(library, xi, self.constraints.free, data, descent)
+        descent = self._descent(1, joined=False, floor=floor)
+        flow = refine_trajectory(*first, self.constraints.free, data, descent)
         parts = (data.x_next - flow.predicted[:, 0]).norm(dim=0) / change.norm(dim=0).clamp_min(1e-300)
-        missed = dict(zip(library.signature.state_names, parts.tolist(), strict=True))
+        missed = dict(zip(first[0].signature.state_names, parts.tolist(), strict=True))
         model = flow.estimate.library, flow.estimate.xi
         return Refined(*model, delay, covariance=shooting_covariance(flow), missed=missed)
 
     def _by_trajectories(self, first: Model, rough: float) -> Refined:
         """Return the model that trajectories tell, and the delay."""
-        settings = self.settings
-        descent = Descent(min(settings.window, int(self.recording.known.sum())))
-        descent = replace(descent, select=settings.select, penalty=settings.penalty)
-        kinds = {
-            "simulation": descent,
-            "prediction": replace(descent, joined=False),
-            "innovation": replace(descent, joined=False, window=max(settings.window, OBSERVED)),
-        }
         try:
-            error = settings.error or "simulation"
-            return self._fit_with_delay(first, rough, kinds[error], observed=error == "innovation")
+            return self._fit_with_delay(first, rough, self.settings.error or "simulation")
         except RunsAway:
-            if settings.error is not None or settings.method != "auto":
+            if self.settings.error is not None or self.settings.method != "auto":
                 raise
-        pieces = weak("fit.multiple_shooting", samples=descent.window)
-        found = self._fit_with_delay(first, rough, kinds["prediction"])
-        return found._replace(findings=(pieces, *found.findings))
+        found = self._fit_with_delay(first, rough, "prediction")
+        return found._replace(findings=(weak("fit.multiple_shooting", samples=self._window), *found.findings))
 
-    def _fit_with_delay(self, found: Model, delay: float, descent: Descent, observed: bool = False) -> Refined:
-        """Return the model that trajectories tell, or an observer's innovations, and the delay, fitted with it."""
-        free, recording = self.constraints.free, self.recording
+    @property
+    def _window(self) -> int:
+        return min(self.settings.window, int(self.recording.known.sum()))
+
+    def _fit_with_delay(self, found: Model, delay: float, error: str) -> Refined:
+        """Return the model of least error of trajectories, or of an observer, and the delay, fitted with it."""
+        recording, gain = self.recording, None
         fits = bool(recording.longest) and found[0].step is None
         if recording.longest:
             found = self._regressed(found, delay)
-        data = recording.delayed(0.0 if fits else delay).measured
-        guess, gain = recording.delayed(delay).guess.x, None
-        if observed:
-            mask, gain = _first_gain(data, recording.rates)
-            descent = replace(descent, gain_mask=mask, window=min(descent.window, len(data)))
-        before = recording.before() if fits else None
-        (library, xi), first = found, delay if fits else 0.0
-        flow = refine_trajectory(library, xi, free, data, descent, guess, first, before, gain)
-        delay = flow.estimate.delay if fits else delay
+        data, window = recording.delayed(0.0 if fits else delay).measured, self._window
+        if error == "innovation":
+            gain, window = _first_gain(data, recording.rates), min(max(window, OBSERVED), len(data))
+        descent = self._descent(window, joined=error == "simulation", before=recording.before() if fits else None)
+        start = recording.delayed(delay).guess.x
+        flow = refine_trajectory(*found, self.constraints.free, data, descent, start, delay if fits else 0.0, gain)
         findings: tuple[Finding, ...] = ()
-        if flow.windows.length != descent.window:
-            findings = (weak("fit.shorter_shooting", long=descent.window, short=flow.windows.length),)
-        return Refined(flow.estimate.library, flow.estimate.xi, delay, findings, covariance=shooting_covariance(flow))
+        if flow.windows.length != window:
+            findings = (weak("fit.shorter_shooting", long=window, short=flow.windows.length),)
+        model, delay = (flow.estimate.library, flow.estimate.xi), flow.estimate.delay if fits else delay
+        return Refined(*model, delay, findings, covariance=shooting_covariance(flow))
 
     def _chosen(self, library: Library, coefficients: Tensor, delay: float) -> tuple[str, bool, tuple[Finding, ...]]:
         """Return the method for these data, whether samples look noisy, and the finding of a choice."""
@@ -371,7 +366,7 @@ def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bo
 
 
 def _first_gain(data: Transitions, rates: Mapping[int, int]) -> tuple[Tensor, Tensor]:
-    """Return where the gain of an observer is fitted, bool `(n_x, n_x)`, and a first guess, as of an alpha-beta filter.
+    """Return a first guess of the gain of an observer, as of an alpha-beta filter, and where it is fitted, bool.
 
     Each measured state corrects itself and its rate, and all of them what no sensor sees in any form.
     """
@@ -383,4 +378,4 @@ def _first_gain(data: Transitions, rates: Mapping[int, int]) -> tuple[Tensor, Te
             mask[i] = seen
         else:
             mask[i, of], gain[i, of] = True, ALPHA**2 / (2 - ALPHA) / data.dt
-    return mask, gain
+    return gain, mask

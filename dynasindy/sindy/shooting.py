@@ -15,7 +15,7 @@ from torch import Tensor
 from dynasindy.sentences import setting
 from dynasindy.sindy.codegen import simulate
 from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
-from dynasindy.sindy.library import Feature, Library
+from dynasindy.sindy.library import Library
 from dynasindy.sindy.sensitivity import Parameters, slopes_by_state, trajectory_sensitivities
 from dynasindy.systems.interpreter import MeasurementUpdate
 from dynasindy.systems.transitions import Transitions
@@ -32,6 +32,28 @@ MOST_SLOPES = 10_000_000
 
 
 @dataclass(frozen=True)
+class Descent:
+    """Say how trajectories are fitted.
+
+    Attributes:
+        window: sampling intervals in a window; fewer where the model runs away in windows as long as that.
+        joined: whether windows join to one trajectory, which begins anew where small errors grow too far, as in chaos.
+        select: whether functions come in and go; if not, those of the first estimate stay.
+        penalty: factor on the squared error that a coefficient must be worth.
+        floor: errors that are as good as none, `(n_x,)`, where samples have no noise: each window begins where it was
+            measured. Else None.
+        before: inputs of the M samples before each row, `(N, M, n_u)`, where the delay is fitted after which they act.
+    """
+
+    window: int
+    joined: bool = True
+    select: bool = True
+    penalty: float = 1.0
+    floor: Tensor | None = None
+    before: Tensor | None = None
+
+
+@dataclass(frozen=True)
 class Windows:
     """Hold a recording cut into W windows of L sampling intervals.
 
@@ -43,13 +65,11 @@ class Windows:
         mask: 1 where a state was measured at the end of an interval of the recording, else 0, `(W, L, n_x)`.
         joined: whether a window continues the one before, bool `(W,)`.
         dt: length of an interval [s].
+        descent: how they are fitted.
         substeps: Runge-Kutta steps in an interval.
         last_inputs: inputs at the end of each interval, `(W, L, n_u)`; None where they are held.
         history: inputs as they were applied, from M samples before each window to its end, `(W, M + L + 1, n_u)`; with
             them the delay after which they act is fitted, without `inputs` stay as they are.
-        gain_mask: where the gain of an observer is fitted, bool `(n_x, n_x)`: which state each measured one corrects;
-            without, windows are simulated from their start.
-        floor: errors that are as good as none, `(n_x,)`; with them each window begins where it was measured.
     """
 
     rows: Tensor
@@ -59,32 +79,26 @@ class Windows:
     mask: Tensor
     joined: Tensor
     dt: float
+    descent: Descent
     substeps: int = 1
     last_inputs: Tensor | None = None
     history: Tensor | None = None
-    gain_mask: Tensor | None = None
-    floor: Tensor | None = None
 
     @classmethod
-    def of(
-        cls, data: Transitions, length: int, joined: bool = True, substeps: int = 1, before: Tensor | None = None
-    ) -> Windows:
-        """Cut every segment of a recording into windows of `length` intervals; the last one may be shorter.
+    def of(cls, data: Transitions, descent: Descent, substeps: int = 1) -> Windows:
+        """Cut every segment of a recording into windows; the last one may be shorter.
 
         Args:
             data: the recording; NaN where a state was not measured.
-            length: sampling intervals in a window.
-            joined: whether a window continues the one before; if not, each begins at a state of its own.
+            descent: how long they are, and whether each continues the one before or begins at a state of its own.
             substeps: Runge-Kutta steps in an interval.
-            before: inputs of the M samples before each row, `(N, M, n_u)`, where a delay is to be fitted.
         """
-        begins = data.begins()
+        length, before = descent.window, descent.before
         within_segment = torch.arange(len(data)) - data.segment_starts()
         starts = (within_segment % length == 0).nonzero().flatten()
-        ends = torch.cat([starts[1:], torch.tensor([len(data)])])
+        ends = torch.cat([starts[1:], torch.tensor([len(data)])]).unsqueeze(-1)
         places = starts.unsqueeze(-1) + torch.arange(length)
-        within = places < ends.unsqueeze(-1)
-        places = torch.minimum(places, ends.unsqueeze(-1) - 1)
+        within, places = places < ends, torch.minimum(places, ends - 1)
         u, u_end = data.inputs_of(places)
         after = data.x_next[places]
         return cls(
@@ -93,8 +107,9 @@ class Windows:
             inputs=u,
             measured=after.nan_to_num(),
             mask=(within.unsqueeze(-1) & ~after.isnan()).to(after.dtype),
-            joined=joined & ~begins[starts],
+            joined=descent.joined & ~data.begins()[starts],
             dt=data.dt,
+            descent=descent,
             substeps=substeps,
             last_inputs=u_end,
             history=None if before is None else torch.cat([before[starts], u, data.last_inputs[places[:, -1:]]], 1),
@@ -154,27 +169,6 @@ def choose_stretches(n: int, wanted: int, window: int = 1) -> Tensor:
     return chosen
 
 
-@dataclass(frozen=True)
-class Descent:
-    """Say how trajectories are fitted.
-
-    Attributes:
-        window: sampling intervals in a window; fewer where the model runs away in windows as long as that.
-        joined: whether windows join to one trajectory, which begins anew where small errors grow too far, as in chaos.
-        select: whether functions come in and go; if not, those of the first estimate stay.
-        penalty: factor on the squared error that a coefficient must be worth.
-        gain_mask: where the gain of an observer is fitted, see `Windows`; None of simulations.
-        floor: errors that are as good as none, where samples have no noise, see `Windows`; else None.
-    """
-
-    window: int
-    joined: bool = True
-    select: bool = True
-    penalty: float = 1.0
-    gain_mask: Tensor | None = None
-    floor: Tensor | None = None
-
-
 STEP = 1e-3
 """Samples by which inputs are shifted, to differentiate by their delay."""
 EXACT = 1e-100
@@ -197,6 +191,7 @@ class Estimate:
         nodes: states at the begin of each window, `(W, n_x)`.
         delay: of the inputs [s], where it is fitted.
         gain: of the observer that corrects the states after each interval, `(n_x, n_x)`; None of simulations.
+        gain_mask: which of its elements are fitted, bool `(n_x, n_x)`.
     """
 
     library: Library
@@ -204,12 +199,13 @@ class Estimate:
     nodes: Tensor
     delay: float = 0.0
     gain: Tensor | None = None
+    gain_mask: Tensor | None = None
 
     def measurement_update(self, windows: Windows) -> MeasurementUpdate | None:
         """Return what corrects the states in windows."""
         if self.gain is None:
             return None
-        fitted = None if windows.gain_mask is None else windows.gain_mask.nonzero().mT
+        fitted = None if self.gain_mask is None else self.gain_mask.nonzero().mT
         return MeasurementUpdate(torch.where(windows.mask > 0, windows.measured, math.nan), self.gain, fitted)
 
 
@@ -295,7 +291,7 @@ class Flow:
         size = (windows.measured * windows.mask).square().sum((0, 1))
         squares = (error.square().sum((0, 1)), ROUNDING**2 * size)
         found = (torch.maximum(*squares) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
-        return found if windows.floor is None else found.maximum(windows.floor)
+        return found if windows.descent.floor is None else found.maximum(windows.descent.floor)
 
 
 def _states_of(estimate: Estimate, windows: Windows) -> Tensor:
@@ -322,60 +318,6 @@ def substeps_for(turn: float, turned: float = FINE) -> int:
     """Return into how many steps an interval is divided so that a step is `turned` long, see `relative_step`."""
     most = MOST_STEPS if turned > FINEST else 5 * MOST_STEPS
     return max(1, min(math.ceil(turn / turned - 1e-6), most), min(math.ceil(turn / STABLE), 10 * MOST_STEPS))
-
-
-DEGREES = {"id": 1.0, "abs": 1.0, "sqrt": 0.5, "sign": 0.0}
-"""Elementary functions of one variable that are c^p times themselves where it is c times itself, and p."""
-SMALL = 1e-9
-"""What counts as zero among singular values and exponents."""
-
-
-def _free_scales(library: Library, xi: Tensor, free: Tensor, unseen: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the free units of hidden states, `(D, n_x)`, and the exponents of coefficients, `(D, n_features, n_x)`.
-
-    A unit is held by a coefficient that is given and by a function that is no power, as a sine or a bend at a level.
-    """
-    names, used = library.signature.state_names, xi != 0
-    degrees = torch.tensor([[_degree(f, name) for name in names] for f in library.features], dtype=torch.float64)
-    degrees = torch.where(used.any(-1, keepdim=True), degrees, 0.0)
-    own = torch.eye(len(names), dtype=torch.float64).unsqueeze(1) - degrees.mT.unsqueeze(-1)
-    exponents = torch.where(used, own.nan_to_num(), 0.0)
-    takes_part = unseen & ~degrees.isnan().any(0) & (exponents != 0).flatten(1).any(-1)
-    given = exponents[:, used & ~free]  # these may not change
-    held = torch.cat([given.mT, torch.diag(1 - takes_part.double())])
-    _, singular, directions = torch.linalg.svd(held)
-    rank = int((singular > SMALL).sum())
-    scales = directions[rank:]
-    return scales, torch.einsum("di,ifx->dfx", scales, exponents)
-
-
-def states_without_scale(library: Library, xi: Tensor, free: Tensor, data: Transitions) -> tuple[str, ...]:
-    """Return the names of the hidden states whose unit nothing tells."""
-    unseen = data.x.isnan().all(0) & data.x_next.isnan().all(0)
-    if not bool(unseen.any()):
-        return ()
-    takes_part = _free_scales(library, xi, free, unseen)[0].abs().sum(0) > SMALL
-    return tuple(n for n, part in zip(library.signature.state_names, takes_part.tolist(), strict=True) if part)
-
-
-def _degree(feature: Feature, name: str) -> float:
-    """Return the power with which a function grows with a variable; NaN if it is no power."""
-    mine = [factor for factor in feature.factors if name in factor.variables]
-    return sum(
-        factor.power * (DEGREES.get(factor.function, torch.nan) if not factor.fitted else torch.nan) for factor in mine
-    )
-
-
-def _scale_constraints(exponents: Tensor, xi: Tensor, norms: Tensor, places: tuple[Tensor, Tensor]) -> Tensor:
-    """Return rows that keep a fit from changing the units of hidden states, `(D, F + P + 1)`; errors do not see it."""
-    features, states = places
-    width, count = len(norms), len(features)
-    norms = norms[-1 - count : -1]
-    # The direction in which the fit would move, in coefficients by which the errors move alike.
-    along = exponents[:, features, states] * xi[features, states] * norms
-    held = norms.new_zeros(len(exponents), width)
-    held[:, -1 - count : -1] = along * norms / along.norm(dim=-1, keepdim=True).clamp_min(1e-300)
-    return held
 
 
 TRUST = 2.0
@@ -469,18 +411,8 @@ def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Ten
         pieces = rows.unflatten(0, (units, -1)).tensor_split(count // parts)
         triangles += [torch.linalg.qr(piece.flatten(0, 1), mode="r")[1] for piece in pieces if len(piece)]
         moves.append(moved)
-    nodes = torch.cat(moves) if windows.floor is None else moves[0]
-    norms = torch.stack([triangle.norm(dim=0) for triangle in triangles]).norm(dim=0)
-    rest = [_starts(flow, sigma, nodes)] if joined else []
-    unseen = windows.first.isnan().all(0) & ~windows.mask.flatten(0, 1).any(0)
-    if bool(unseen.any()):
-        estimate, parameters = flow.estimate, flow.parameters
-        may = parameters.support(estimate.xi.shape)
-        exponents = _free_scales(estimate.library, estimate.xi, may, unseen)[1]
-        places = parameters.features, parameters.states
-        norms = torch.cat([norms.unsqueeze(0), *rest]).norm(dim=0)
-        rest.append(_scale_constraints(exponents, estimate.xi, norms, places))
-    return triangles, torch.cat([triangles[0][:0], *rest]), nodes
+    nodes = torch.cat(moves) if windows.descent.floor is None else moves[0]
+    return triangles, _starts(flow, sigma, nodes) if joined else triangles[0][:0], nodes
 
 
 def _observed(windows: Windows) -> Tensor:
@@ -528,7 +460,7 @@ def _alone(flow: Flow, sigma: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]
     Each moves as fits its window best (variable projection); none where windows begin as measured: one row tells.
     """
     n_x = flow.predicted.shape[-1]
-    if flow.windows.floor is not None:
+    if flow.windows.descent.floor is not None:
         error = flow.windows.measured - flow.predicted
         rows = torch.cat([flow.s[..., n_x:], error.unsqueeze(-1)], -1) / sigma.unsqueeze(-1)
         return rows[:, :, observed].flatten(0, 2), rows.new_zeros(1, n_x, rows.shape[-1])
@@ -597,8 +529,8 @@ def _limits(flow: Flow, n_fixed: int) -> Tensor:
     Far from a straight line, as by its number, nothing tells the way back, so a step goes to some multiple at most.
     """
     estimate, windows, limits = flow.estimate, flow.windows, list[tuple[float, float]]()
-    if estimate.gain is not None and windows.gain_mask is not None:
-        for i, j in windows.gain_mask.nonzero().tolist():
+    if estimate.gain is not None and estimate.gain_mask is not None:
+        for i, j in estimate.gain_mask.nonzero().tolist():
             limits.append((-float(estimate.gain[i, j]) if i == j else -math.inf, math.inf))
     if windows.history is not None:
         limits.append((-estimate.delay, windows.longest - estimate.delay))
@@ -662,6 +594,7 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
     if flow.windows.history is not None:
         place -= 1
         delay = min(max(delay + float(step[place]), 0.0), flow.windows.longest)
-    if gain is not None and (mask := flow.windows.gain_mask) is not None:
+    if gain is not None and (mask := estimate.gain_mask) is not None:
         gain = gain.masked_scatter(mask, gain[mask] + step[place - int(mask.sum()) : place])
-    return Estimate(library, parameters.write(estimate.xi, values[n_fixed:]), nodes, delay, gain)
+    xi = parameters.write(estimate.xi, values[n_fixed:])
+    return replace(estimate, library=library, xi=xi, nodes=nodes, delay=delay, gain=gain)

@@ -246,51 +246,46 @@ def refine_trajectory(
     descent: Descent,
     start: Tensor | None = None,
     delay: float = 0.0,
-    before: Tensor | None = None,
-    gain: Tensor | None = None,
+    gain: tuple[Tensor, Tensor] | None = None,
 ) -> Flow:
     """Minimise the error of whole trajectories over coefficients and start states; drop what does not matter.
 
     Segments are to be long against the window. `start` is a guess of the states before each transition, `(N, n_x)`; the
-    measured ones by default. With the inputs of the samples `before` each one, `(N, M, n_u)`, their delay is fitted,
-    too, from a first guess [s] on, and left out where it is not worth a coefficient. With a first guess of the `gain`
-    of an observer what is minimised are its innovations: errors of one step ahead, the states of which are estimated
-    from all samples before (Ljung 1999, section 7.2). They are white where the model is right, whether the plant is
-    pushed at random, the sensors are noisy, or both.
+    measured ones by default. Where a descent has the inputs `before` each row, their delay is fitted, too, from a first
+    guess [s] on, and left out where it is not worth a coefficient. With a first guess of the `gain` of an observer, and
+    where it is fitted, what is minimised are its innovations: errors of one step ahead, the states of which are
+    estimated from all samples before (Ljung 1999, section 7.2). They are white where the model is right, whether the
+    plant is pushed at random, the sensors are noisy, or both.
 
     Raises:
         RunsAway: the model runs away within the shortest of windows.
     """
-    if not descent.select:
-        free = free & (xi != 0)
+    free = free if descent.select else free & (xi != 0)
     data = data.to(torch.float64)
     guess = data.x if start is None else start.to(torch.float64)
-    some = choose_stretches(len(data), selection_rows(free, gain is not None))
+    some, before = choose_stretches(len(data), selection_rows(free, gain is not None)), descent.before
 
     def _priced(n: int) -> float:
         return descent.penalty * _price(n, free) if descent.select else 0.0
 
-    part, price = data.select(some), _priced(int(some.sum()))
-    some_before = None if before is None else before[some]
-    first = Estimate(library, xi, guess[some], delay, gain)
+    price, first = _priced(int(some.sum())), Estimate(library, xi, guess[some], delay, *(gain or ()))
+    brief = descent if before is None else replace(descent, before=before[some])
     turned = COARSE if descent.floor is None else FINEST
-    flow = _grown(first, (xi != 0) & free, part, descent, turned, some_before)
+    flow = _grown(first, (xi != 0) & free, data.select(some), brief, turned)
     found, windows = flow.estimate, flow.windows
     if descent.joined and not bool(data.x_next.isnan().any()):  # windows on their own tell little of unmeasured states
         found = _search_functions(found, free, replace(windows, joined=torch.zeros_like(windows.joined)), price)
     if descent.joined:
         windows = replace(windows, joined=_joins(Flow.of(found, flow.parameters.take(slice(0)), windows)))
     found = _search_functions(found, free, windows, price)
-    if not bool(some.all()):
-        support = (found.xi != 0) & free
-        flow = _grown(replace(found, nodes=guess), support, data, descent, min(turned, FINE), before)
-        whole, windows = flow.estimate, flow.windows
-        if descent.joined:
-            windows = replace(windows, joined=_joins(flow))
-        flow = Flow.of(whole, Parameters.where(support), windows)
-        found = _descended(flow, _priced(len(data)))[0].estimate
-    else:
+    if bool(some.all()):
         found, windows = _finely(found, free, windows, price)
+    else:
+        support = (found.xi != 0) & free
+        flow = _grown(replace(found, nodes=guess), support, data, descent, min(turned, FINE))
+        windows = replace(flow.windows, joined=_joins(flow)) if descent.joined else flow.windows
+        flow = Flow.of(flow.estimate, Parameters.where(support), windows)
+        found = _descended(flow, _priced(len(data)))[0].estimate
     found = _without_delay(found, free, windows)
     return Flow.of(found, Parameters.where((found.xi != 0) & free), windows)
 
@@ -317,7 +312,7 @@ def _finely(found: Estimate, free: Tensor, windows: Windows, price: float) -> tu
     if not bool(support.any()):
         return found, windows
     turn = relative_step(found.library, found.xi, found.nodes, windows.inputs[:, 0], windows.dt)
-    wanted = substeps_for(turn, FINE if windows.floor is None else FINEST)
+    wanted = substeps_for(turn, FINE if windows.descent.floor is None else FINEST)
     if wanted <= windows.substeps:
         return found, windows
     windows = replace(windows, substeps=wanted)
@@ -341,7 +336,6 @@ def _grown(
     data: Transitions,
     descent: Descent,
     turned: float,
-    before: Tensor | None = None,
 ) -> Flow:
     """Return trajectories in windows of the wanted length, or as long as there are, in which they do not run away."""
     turn = relative_step(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
@@ -349,8 +343,7 @@ def _grown(
     guess, length = estimate.nodes, descent.window
 
     def _cut(found: Estimate, length: int) -> tuple[Flow, bool]:
-        windows = Windows.of(data, length, descent.joined, substeps, before)
-        windows = replace(windows, gain_mask=descent.gain_mask, floor=descent.floor)
+        windows = Windows.of(data, replace(descent, window=length), substeps)
         trial = Flow.of(replace(found, nodes=guess[windows.rows]), parameters, windows)
         return trial, bool(trial.lost().any())
 

@@ -35,7 +35,7 @@ from dynasindy.sindy.library import Library
 from dynasindy.sindy.named_libraries import paper_table, polynomial
 from dynasindy.sindy.regression import Rows
 from dynasindy.sindy.sensitivity import Parameters
-from dynasindy.sindy.shooting import Estimate, Flow, Windows, linearise_windows
+from dynasindy.sindy.shooting import Descent, Estimate, Flow, Windows, linearise_windows
 from dynasindy.sindy.world_model import one_step_error
 from dynasindy.systems import Signature, System, Tras, Xi, integrate
 from dynasindy.systems.transitions import Transitions
@@ -215,7 +215,7 @@ def cramer_rao(library: Library, truth: Tensor, clean: Transitions, sigma: Tenso
         clean: the recording without noise.
         sigma: standard deviation of the white noise of each state, `(n_x,)`.
     """
-    windows, parameters = Windows.of(clean, 50), Parameters.where(truth != 0)
+    windows, parameters = Windows.of(clean, Descent(50)), Parameters.where(truth != 0)
     model = linearise_windows(Flow.of(Estimate(library, truth, windows.first.clone()), parameters, windows), sigma)
     n = len(model.scale)
     inverse = torch.linalg.inv(model.triangle[:n, :n])

@@ -11,7 +11,7 @@ from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import Regression
-from dynasindy.sindy.shooting import Windows
+from dynasindy.sindy.shooting import Descent, Windows
 from dynasindy.sindy.world_model import one_step_error, open_loop
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -104,8 +104,8 @@ def test_inputs_at_ends_go_with_their_rows():
     assert torch.equal(both.u_end, torch.cat([u, moved.u_end])) and Transitions.cat([data, data]).u_end is None
     with pytest.raises(ValueError, match="shapes"):
         Transitions(x[:-1], u, x[1:], DT, data.segment, u_end=u[1:])
-    windows = Windows.of(moved, 3)
-    assert windows.last_inputs[0, :, 0].tolist() == [4, 16, 36] and Windows.of(data, 3).last_inputs is None
+    windows = Windows.of(moved, Descent(3))
+    assert windows.last_inputs[0, :, 0].tolist() == [4, 16, 36] and Windows.of(data, Descent(3)).last_inputs is None
 
 
 @pytest.mark.parametrize("delay", [0.05, 0.1, 0.13, 0.2])

@@ -10,6 +10,7 @@ from first_order import DT, LIBRARY, TWO, Y0, A, B, column, inputs, motion
 
 from dynasindy.findings import note
 from dynasindy.sindy import Refinement, Regression, SindyModel, shooting
+from dynasindy.sindy.model import _units_of_guess
 from dynasindy.sindy.named_libraries import build_library, polynomial
 from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.sindy.shooting import (
@@ -18,13 +19,11 @@ from dynasindy.sindy.shooting import (
     Flow,
     RunsAway,
     Windows,
-    _free_scales,
     choose_stretches,
     linearise_windows,
     move,
     relative_step,
     shooting_covariance,
-    states_without_scale,
     substeps_for,
 )
 from dynasindy.sindy.trajectory_fit import refine_trajectory
@@ -37,7 +36,7 @@ INPUTS = inputs(4)
 def test_windows_that_run_away_are_counted_and_the_first_is_named():
     # y' = y^2 from 1 is 1 / (1 - t): it passes all bounds after a second, from -1 and from 0.1 it does not.
     data = Transitions.from_trajectory(torch.ones(61, 1).double(), torch.zeros(60, 1).double(), 0.1)
-    windows = Windows.of(data, 20)
+    windows = Windows.of(data, Descent(20))
     estimate = Estimate(LIBRARY, column(0.0, 0.0, 0.0, 1.0), column(0.1, 1.0, -1.0))
     parameters = Parameters.where(torch.tensor([[False], [False], [False], [True]]))
     flow = Flow.of(estimate, parameters, windows)
@@ -54,7 +53,7 @@ def test_a_step_of_a_linear_problem_ends_at_its_least_squares_solution(joined):
     data = Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.zeros(7, 1).double(), 0.5)
     parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
     estimate = Estimate(LIBRARY, column(0.0, 0.0, 3.0, 0.0), torch.zeros(1, 1).double())
-    flow = Flow.of(estimate, parameters, Windows.of(data, 7, joined))
+    flow = Flow.of(estimate, parameters, Windows.of(data, Descent(7, joined)))
     model = linearise_windows(flow, torch.tensor([2.0]).double())
     found = move(flow, model, torch.arange(len(model.scale)))
     start, slope = np.linalg.lstsq(np.stack([np.ones(8), 0.5 * np.arange(8)], -1), y, rcond=None)[0]
@@ -122,7 +121,7 @@ def test_a_window_is_left_out_of_standard_errors_as_a_whole(joined):
 def test_slopes_that_do_not_stay_in_memory_are_computed_part_by_part(joined, monkeypatch):
     y = motion(A, B, Y0, INPUTS)
     data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
-    windows = Windows.of(data, 3, joined)
+    windows = Windows.of(data, Descent(3, joined))
     estimate = Estimate(LIBRARY, column(A, B, 0.1, 0.0), torch.from_numpy(y[:-1:3])[:, None] + 0.1)
     at_once, parts = (Flow.of(estimate, Parameters.where(TWO), windows) for _ in range(2))
     wanted = linearise_windows(at_once)
@@ -218,14 +217,9 @@ def test_what_holds_the_unit_of_a_hidden_state(words, given, fixed, hidden, free
     may = torch.ones_like(xi, dtype=torch.bool)
     for name, state in fixed:
         may[library.index(name if name in library.names else words[1]), state] = False
-    scales, exponents = _free_scales(library, xi, may, torch.tensor(hidden))
-    assert len(scales) == len(exponents) == int(free)
-    if all(hidden):
-        assert float(scales[0, 0]) == pytest.approx(float(scales[0, 1]))
-    nan = torch.where(torch.tensor(hidden), torch.nan, 1.0).double().expand(5, 2)
-    data = Transitions.from_trajectory(nan, torch.zeros(4, 1).double(), 0.1)
-    names = {n for n, h in zip(TANKS.state_names, hidden, strict=True) if h} if free else set()
-    assert set(states_without_scale(library, xi, may, data)) == names
+    chosen, unscaled = _units_of_guess(library, xi, may, torch.tensor(hidden))
+    assert int(chosen.sum()) == int(free) and not bool(chosen[~may].any())
+    assert set(unscaled) == ({n for n, h in zip(TANKS.state_names, hidden, strict=True) if h} if free else set())
 
 
 def fit(data, unit, fixed=None):
@@ -249,8 +243,7 @@ def test_two_tanks_are_found_in_the_unit_of_the_first_guess(unit):
     drains = sorted((at["upper", 0], at["lower", 1]), key=lambda k: float(size[k]))
     for k, real in zip(drains, (-OUT, -DRAIN), strict=True):
         assert abs(float(size[k]) - real) < 4 * float(share[k] * size[k].abs()) < 0.3 * abs(real)
-    fill, drip = at["u", 0], at["upper", 1]
-    assert float(size[fill] * size[drip]) == pytest.approx(FILL * IN, rel=0.1)
-    assert 0.3 < float(size[fill]) / (0.2 * unit) < 3, "about the unit of the guess"
+    fill = float(model.coefficients[model.library.index("u"), 0])
+    assert fill == 0.2 * unit and fill * float(size[at["upper", 1]]) == pytest.approx(FILL * IN, rel=0.1)
     assert float(share.max()) < 0.1
     assert note("fit.unscaled", states=["upper"]) in report.findings
