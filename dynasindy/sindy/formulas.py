@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 from collections.abc import Iterable
 
 from dynasindy.sindy.codegen import InfixWriter
@@ -82,13 +83,8 @@ def single(value: float) -> str:
 
 def rows(written: Iterable[str], indent: str = "    ", width: int = 100) -> str:
     """Return the elements of an array in lines of a readable length."""
-    lines, line = [], ""
-    for word in written:
-        if line and len(line) + len(word) > width:
-            lines.append(line.rstrip())
-            line = ""
-        line += f"{word}, "
-    return "\n".join(indent + text for text in [*lines, line.rstrip().rstrip(",")])
+    lines = textwrap.wrap(", ".join(written), width, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(indent + line for line in lines)
 
 
 def formulas(model: SindyModel) -> Program:

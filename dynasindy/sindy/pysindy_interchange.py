@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import functools
+import time
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
+from dynasindy.sindy.fit_report import FitReport
 from dynasindy.sindy.formulas import right_sides
 from dynasindy.sindy.library import Feature, Library, parse
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.world_model import WorldModel
+from dynasindy.sindy.regression import RunningSums, integral_form
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -128,7 +128,7 @@ def to_sympy(model: SindyModel) -> dict[str, Any]:
     }
 
 
-class PySindyDefault(WorldModel):
+class PySindyDefault(SindyModel):
     """Fit by PySINDy's defaults; predict by the same sparse field as `SindyModel`.
 
     Args:
@@ -136,18 +136,18 @@ class PySindyDefault(WorldModel):
     """
 
     def __init__(self, signature: Signature) -> None:
-        super().__init__(signature)
-        self.model = SindyModel(signature, "polynomial")
+        super().__init__(signature, "polynomial")
 
-    def forward(self, x: Tensor, u: Tensor) -> Tensor:
-        """Compute dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
-        return self.model(x, u)
+    @property
+    def additive(self) -> bool:
+        """It keeps no sums of earlier data."""
+        return False
 
-    def fit(self, transitions: Transitions) -> None:
+    def fit(self, transitions: Transitions) -> FitReport:
         """Fit to the segments of transitions, as PySINDy's list of trajectories; short ones are left out."""
         import pysindy
 
-        data = transitions.to(torch.float64)
+        start, data = time.perf_counter(), transitions.to(torch.float64)
         labels, counts = data.segment.unique_consecutive(return_counts=True)
         parts = [data.select(data.segment == label) for label, n in zip(labels, counts, strict=True) if n >= 3]
         names = [*self.signature.state_names, *self.signature.input_names]
@@ -156,12 +156,8 @@ class PySindyDefault(WorldModel):
             warnings.simplefilter("ignore")
             states, inputs = ([getattr(p, key).numpy() for p in parts] for key in ("x", "u"))
             theirs.fit(states, t=data.dt, u=inputs, feature_names=names)
-        self.model = from_pysindy(theirs, self.signature)
-
-    def equations(self, digits: int = 4) -> list[str]:
-        """Write one equation per state."""
-        return self.model.equations(digits)
-
-    def save(self, path: str | Path) -> None:
-        """Write the model as the JSON that `SindyModel.load` reads."""
-        self.model.save(path)
+        found = from_pysindy(theirs, self.signature)
+        self.set_coefficients(found.coefficients[[found.library.index(name) for name in self.library.names]])
+        self.sums = RunningSums(len(self.library), self.signature.n_x)
+        self.sums.add(integral_form(self.library, data))
+        return FitReport.of(self.library, self.coefficients, self.sums, time.perf_counter() - start, dt=data.dt)

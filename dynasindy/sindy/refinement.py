@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, Literal
 
 import torch
@@ -129,41 +129,16 @@ class Refinement:
             general: whether the library is one for any plant, of which the method `integral` takes what it needs where
                 all states were measured.
         """
-        guess = data if guess is None else guess
-        first, longest = (library, coefficients), self.longest_delay
-        if longest is not None and longest >= (seconds := len(data) * data.dt):
+        longest, seconds = self.longest_delay, len(data) * data.dt
+        if longest is not None and longest >= seconds:
             raise ValueError(
                 f"longest_delay is {longest:g} s, and the data last {seconds:g} s; give a delay that they can show, or "
                 "null, where they are to tell"
             )
-        if longest is None:
-            longest, told = self._reach(first, constraints, data, guess)
-            late = late if late is not None else told or None
-            longest = max(longest, FARTHER * (late or 0.0))
-        rates = rate_states(library, constraints)
-        return _Fit(self, constraints, RegressionData(data, guess, rates, longest), general).run(first, late)
-
-    def _reach(
-        self, found: Model, constraints: Constraints, data: Transitions, guess: Transitions
-    ) -> tuple[float, float]:
-        """Return how long a delay of the inputs may be, and how long it seems to be, as a regression tells [s]."""
-        field, rates = generate(*found), rate_states(found[0], constraints)
-        noisy = self.method == "trajectory" or bool(data.x.isnan().any())
-        if not noisy and self.method == "auto":
-            noisy = looks_noisy(*found, guess)
-
-        def _rows(late: int, farthest: int, read: RegressionData) -> Rows:
-            recording = replace(read, longest=farthest * data.dt).brief()
-            return recording.delayed(late * data.dt).rows(found[0], field)
-
-        least = max(PERIODS * data.substeps, math.floor(SOON / data.dt + 1e-9)) if noisy else 0
-        recording = RegressionData(data, guess, rates)
-        farthest, best = _search_range(constraints.free, partial(_rows, read=recording), least)
-        if noisy and not best and not has_gaps(data):
-            # Most of single steps may be noise, which no delay explains: averages tell it.
-            read = recording.smoothed(found[0].step)
-            farthest, best = _search_range(constraints.free, partial(_rows, read=read), least)
-        return farthest * data.dt, best * data.dt
+        recording = RegressionData(
+            data, data if guess is None else guess, rate_states(library, constraints), longest or 0.0
+        )
+        return _Fit(self, constraints, recording, general).run((library, coefficients), late)
 
 
 @dataclass(frozen=True)
@@ -177,6 +152,10 @@ class _Fit:
 
     def run(self, first: Model, late: float | None = None) -> Refined:
         """Return what was found; the search for a delay begins at `late` [s], by a regression where that is None."""
+        if self.settings.longest_delay is None:
+            longest, told = self._reach(first)
+            late = late if late is not None else told or None
+            self = replace(self, recording=replace(self.recording, longest=max(longest, FARTHER * (late or 0.0))))
         data, wanted, fit = self.recording.measured, self.settings.method, self
         delay = self._rough(first) if late is None else late
         if delay and wanted in ("integral", "one_step"):
@@ -211,6 +190,44 @@ class _Fit:
         if refined.delay and refined.delay > longest - 0.5 * data.dt:
             findings += (weak("fit.longest_delay", seconds=longest),)
         return refined._replace(findings=findings)
+
+    def _reach(self, first: Model) -> tuple[float, float]:
+        """Return how long a delay of the inputs may be, and how long it seems to be, as a regression tells [s]."""
+        read, data, method = self.recording, self.recording.measured, self.settings.method
+        noisy = method == "trajectory" or bool(data.x.isnan().any())
+        noisy = noisy or (method == "auto" and looks_noisy(*first, read.guess))
+        least = max(PERIODS * data.substeps, math.floor(SOON / data.dt + 1e-9)) if noisy else 0
+        farthest, best = self._search_range(first, read, least)
+        if noisy and not best and not has_gaps(data):
+            # Most of single steps may be noise, which no delay explains: averages tell it.
+            farthest, best = self._search_range(first, read.smoothed(first[0].step), least)
+        return farthest * data.dt, best * data.dt
+
+    def _search_range(self, first: Model, read: RegressionData, least: int) -> tuple[int, int]:
+        """Return within how many samples a delay is to be looked for, where nobody says that, and the best one.
+
+        It is `least`, and no delay, where none explains the samples better by far, or the functions explain them as
+        they are. Where the longest one that was tried is the best, it is twice as far, while enough rows are left.
+        """
+        free, field, dt = self.constraints.free, generate(*first), read.measured.dt
+
+        def _rows(late: int, farthest: int) -> Rows:
+            recording = replace(read, longest=farthest * dt).brief()
+            return recording.delayed(late * dt).rows(first[0], field)
+
+        enough = ENOUGH * int(free.sum(0).max())
+        if (not least and _exact(free, *_rows(0, 0))) or len(_rows(0, least)[1]) < enough:
+            return 0, 0
+        farthest, found = max(SOONEST, least), (least, 0)
+        while farthest <= FARTHEST and len(_rows(0, farthest)[1]) >= enough:
+            costs = [unexplained(free, *_rows(k, farthest)) for k in range(farthest + 1)]
+            best = min(range(farthest + 1), key=costs.__getitem__)
+            if costs[0] - costs[best] > 0.5 * len(_rows(best, farthest)[1]) * math.log(TELLING):
+                found = farthest, best
+            if best < farthest:
+                break
+            farthest *= 2
+        return found
 
     @cached_property
     def _brief(self) -> RegressionData:
@@ -312,31 +329,6 @@ class _Fit:
             coefficients = regression.solve(sums, free, offset)
             library, coefficients = fit_shapes(library, coefficients, free, seen.rows, settings.tolerance)
         return library, coefficients
-
-
-def _search_range(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> tuple[int, int]:
-    """Return within how many samples a delay is to be looked for, where nobody says how long it may be, and the best.
-
-    Where no delay explains the samples better by far, it is looked for within `least` samples; nowhere if that is 0,
-    and also if it is 0 and the functions explain the samples as they are. Where the longest delay that was tried is
-    the best one, it is looked for twice as far, as long as enough rows know their inputs. `rows` are those under inputs
-    delayed by so many samples, its first argument, whose inputs are known for as many samples as the second one says.
-    """
-    if not least and _exact(free, *rows(0, 0)):
-        return 0, 0
-    enough = ENOUGH * int(free.sum(0).max())
-    if len(rows(0, least)[1]) < enough:
-        return 0, 0
-    farthest, found = max(SOONEST, least), (least, 0)
-    while farthest <= FARTHEST and len(rows(0, farthest)[1]) >= enough:
-        costs = [unexplained(free, *rows(k, farthest)) for k in range(farthest + 1)]
-        best = min(range(farthest + 1), key=costs.__getitem__)
-        if costs[0] - costs[best] > 0.5 * len(rows(best, farthest)[1]) * math.log(TELLING):
-            found = farthest, best
-        if best < farthest:
-            break
-        farthest *= 2
-    return found
 
 
 def _exact(free: Tensor, theta: Tensor, dx: Tensor) -> bool:
