@@ -82,28 +82,15 @@ class Sweep(Callback):
             _check_sweep(config.copy())
 
 
-def swept_keys(config: DictConfig) -> set[str]:
-    """Return the names of the settings and groups in which the jobs of a sweep differ; each has values.
-
-    The sweeper's own settings come first, and the last word on each counts.
-    """
-    words = [f"{name}={value}" for name, value in (config.hydra.sweeper.get("params") or {}).items()]
-    overrides = OverridesParser.create().parse_overrides([*words, *config.hydra.overrides.task])
-    last = {override.get_key_element(): override for override in overrides}
-    swept = {name: override for name, override in last.items() if override.is_sweep_override()}
-    for name, override in swept.items():
-        if override.is_range_sweep() and not any(True for _ in override.sweep_string_iterator()):
-            raise ValueError(f"the sweep has no job, as {name} has no value; give some, such as '{name}=range(0,5)'")
-    return {re.split(r"[.@]", name.lstrip("+~"))[0] for name in swept}
-
-
 def _check_sweep(config: DictConfig) -> None:
     """Check the config of a sweep, its launcher, its log and where the results of an ablation go."""
     from settings import check  # it imports torch
 
     if config.hydra.launcher._target_.endswith(".SlurmLauncher") and shutil.which("srun") is None:
         raise ValueError("there is no srun here; choose hydra/launcher=joblib, or submitit_local")
-    shared = swept_keys(config) <= ONE_TASK and config.get("resume") is None
+    given = OverridesParser.create().parse_overrides(config.hydra.overrides.task)
+    swept = [*(config.hydra.sweeper.get("params") or {}), *(o.key_or_group for o in given if o.is_sweep_override())]
+    shared = {name.partition(".")[0] for name in swept} <= ONE_TASK and config.get("resume") is None
     with open_dict(config):
         config.folder = ""  # each job has its own
         del config.hydra

@@ -87,6 +87,9 @@ def require_keys(config_name: str, settings: list[str]) -> list[str]:
     if not settings:
         return []
     found = dict(zip(settings, OverridesParser.create().parse_overrides(settings)))
+    for word, override in found.items():
+        if override.is_range_sweep() and not any(True for _ in override.sweep_string_iterator()):
+            raise ValueError(f"the sweep has no job, as {word} is empty; give values, such as 'seed=range(0,5)'")
     folders = [CONF, Path(config_dir() or CONF)]
     groups = [w for w, o in found.items() if any((folder / o.key_or_group).is_dir() for folder in folders)]
     groups += [word for word in settings if word.startswith("hydra/")]
