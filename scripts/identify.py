@@ -76,16 +76,12 @@ def next_command(cfg: Any, found: Identified) -> str:
     from dynasindy.sentences import command_word
 
     source, job, rates = found.source, HydraConfig.get(), rates_of(found.model)
-    does = "plans a controller on the log" if source.logged else "excites, identifies and plans in one go"
     targets = targets_like(source, rates.values(), given_targets(cfg), found.model, closest_period(source))
-    if targets:
-        does += "; put in its targets what you want to hold, within which limits, in the units of the states"
-    if found.forecasts is not None and not found.predicts:
-        does += "; this model does not predict, so mend first what is said above"
+    mend = "mend first what is said above; this " if found.forecasts is not None and not found.predicts else ""
     of_data = () if source.logged else ("data", "refinement", "source")  # what is said of simulated data
     plan = without(job.overrides.task, "folder", "hydra", "formats", *of_data)
     plan += [command_word(f"plant.{key}", values) for key, values in targets.items()]
-    return command_line("train", plan, does)
+    return command_line("train", plan, f"{mend}plans a controller for these targets, in the units of the states")
 
 
 if __name__ == "__main__":

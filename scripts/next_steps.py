@@ -28,7 +28,7 @@ def command_line(name: str, words: Sequence[str], comment: str = "") -> str:
 
 def next_steps(*lines: str) -> str:
     """Return commands under their heading; nothing where there are none."""
-    return "\n".join(["next:", *(f"  {line}" for line in lines)]) if lines else ""
+    return "\n  ".join(["next:", *lines]) if lines else ""
 
 
 def run_steps(folder: object, *names: str, plugins: Sequence[str] = ()) -> list[str]:
