@@ -54,7 +54,7 @@ def arm():
 
 @pytest.mark.slow
 def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
-    given = [f"data.path={log}", *TASK, WORDS, "planning.lr=-1.0"]
+    given = [f"data.path={log}", *TASK, WORDS, "planning.lr=1e18"]
     done = train("data=csv", *given, f"folder={tmp_path}/run")
     assert done.returncode != 0
     assert "Run folder" in done.stdout
