@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -29,16 +28,12 @@ State = dict[str, Any]
 class Checkpoints:
     """The newest states of a run, in a folder.
 
-    Attributes:
-        bytes: Size of the latest checkpoint that was written.
-        seconds: Time that all of them took.
-
     Args:
         folder: Folder of the files; made when the first is written.
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.bytes, self.seconds = folder, 0, 0.0
+        self.folder = folder
 
     def save(self, number: int, state: Mapping[str, Any]) -> Path:
         """Write a state as `NUMBER.pt`, whole or not at all, and then remove all but the newest.
@@ -50,7 +45,7 @@ class Checkpoints:
         Raises:
             OSError: The file cannot be written; the earlier ones stay.
         """
-        start, buffer = time.perf_counter(), io.BytesIO()
+        buffer = io.BytesIO()
         torch.save(dict(state), buffer)
         payload = buffer.getbuffer()
         path = self.folder / f"{number:06d}.pt"
@@ -59,7 +54,6 @@ class Checkpoints:
             file.write(payload)
         for old in self._files()[:-KEPT]:
             old.unlink(missing_ok=True)
-        self.bytes, self.seconds = path.stat().st_size, self.seconds + time.perf_counter() - start
         return path
 
     def newest(self) -> State | None:

@@ -19,7 +19,7 @@ MADE = (
     *("progress.csv", "gate.csv", "identification.txt", "error.txt"),
 )
 """Files that a run makes besides its `config.yaml`."""
-NEEDED = {"episodes", "cost", "evaluation", "untrained", "equations", "verdict", "checkpoint"}
+NEEDED = {"episodes", "cost", "evaluation", "untrained", "equations", "verdict"}
 """Keys of `metrics.json` that are read again."""
 
 

@@ -91,9 +91,7 @@ def run(
                 if not finish:
                     recorder.progress(place.episodes)
                     train(parts, recipe.train, recorder, place)
-                facts = {"seed": recipe.seed, "system": type(recipe.system).__name__.lower()}
-                written = {"bytes": checkpoints.bytes, "seconds": checkpoints.seconds}
-                metrics = recorder.finish({**facts, "checkpoint": written})
+                metrics = recorder.finish({"seed": recipe.seed, "system": type(recipe.system).__name__.lower()})
         (folder / "error.txt").unlink(missing_ok=True)  # of a process that was refused meanwhile
         if place.episodes == recipe.train.episodes:
             checkpoints.remove()

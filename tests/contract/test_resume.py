@@ -56,7 +56,7 @@ def kept(folder):
             raw = repr({key: value.tolist() for key, value in torch.load(file).items()}).encode()
         elif name == "metrics.json":
             record = json.loads(raw)
-            del record["cost"]["wall_seconds"], record["checkpoint"]
+            del record["cost"]["wall_seconds"]
             raw = json.dumps(record).encode()
         elif name == "config.yaml":
             raw = re.sub(rb"folder: .*", b"", raw)

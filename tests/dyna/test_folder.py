@@ -11,7 +11,7 @@ from dynasindy.dyna.run import _check_settings, _claimed, _clear
 
 def finished(folder, episodes=3):
     record = {"episodes": episodes, "cost": {}, "evaluation": {}, "untrained": {}}
-    record |= {"equations": [], "verdict": {}, "checkpoint": {}}
+    record |= {"equations": [], "verdict": {}}
     (folder / "metrics.json").write_text(json.dumps(record))
     (folder / "model.json").write_text("{}")
     torch.save({"weight": torch.zeros(2)}, folder / "policy.pt")
