@@ -292,7 +292,7 @@ class ClosedLoop:
         u, memory = self.law.step(Memory(covariance=shared, **held), y + noise, r)
         waiting = torch.cat([z[..., self.parts["pending"]], u + extra], -1)
         moved = {
-            "x": self.move(x, waiting.unflatten(-1, (-1, u.shape[-1]))),
+            "x": self._move(x, waiting.unflatten(-1, (-1, u.shape[-1]))),
             "late": torch.cat([z[..., self.parts["late"]], x], -1)[..., x.shape[-1] :],
             "pending": waiting[..., u.shape[-1] :],
             **{name: getattr(memory, name).flatten(z.dim() - 1) for name in held},
@@ -304,13 +304,8 @@ class ClosedLoop:
         ways = [z[..., self.parts[name]] for name in ("late", "x")]
         return torch.cat(ways, -1)[..., : self.signature.n_x]
 
-    def move(self, x: Tensor, inputs: Tensor) -> Tensor:
-        """Return the states of the model one control period later.
-
-        Args:
-            x: States, `(*batch, n_x)`.
-            inputs: Inputs of earlier periods that are pending and that of this one, `(*batch, pending + 1, n_u)`.
-        """
+    def _move(self, x: Tensor, inputs: Tensor) -> Tensor:
+        """Return states one period later, under pending inputs and the new one, `(*batch, pending + 1, n_u)`."""
         whole, rest = self._late
         if rest:
             x = self._flow(x, inputs[..., -whole - 2, :], rest)

@@ -108,11 +108,7 @@ class _Policy(nn.Module):
 
 
 class _ControlStep(nn.Module):
-    """A call of a controller as a function of tensors, without branches on what they hold.
-
-    Args:
-        controller: Its policy is an actor of `dynasindy.agents`.
-    """
+    """A call of a controller as a function of tensors, without branches on what they hold."""
 
     def __init__(self, controller: Controller) -> None:
         super().__init__()

@@ -123,7 +123,7 @@ def test_a_loop_at_rest_knows_where_it_is(networks):
 
 def test_stops_hold(loops):
     loop = loops(stops=Stops((0,), (1,), (-1.0,), (0.5,)))
-    x = loop.move(torch.tensor([[0.45, 2.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
+    x = loop._move(torch.tensor([[0.45, 2.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
     assert x[0].tolist() == [0.5, 0.0]
 
 
@@ -135,7 +135,7 @@ def test_the_step_is_as_long_as_the_plant_allows(carts, loops, tasks, spring):
     assert (step == dt) == (spring == 1e-4) and step >= finest and (step == finest) == (spring > 1.0)
     if spring < 1e6:
         start, loop = torch.tensor([[1.0, 0.0]], dtype=torch.float64), loops(model=model, dt=dt, step=step)
-        x = loop.move(start, torch.zeros(1, 1, 1))
+        x = loop._move(start, torch.zeros(1, 1, 1))
         omega = math.sqrt(spring)
         assert x[0, 0].item() == pytest.approx(math.cos(omega * dt), abs=FINE if spring < 100 else 1e-4)
 
@@ -154,7 +154,7 @@ def test_a_difference_equation_moves_by_its_own_steps_however_long_those_of_the_
     loop = loops(model=carts(delay, 0.5, 4.0, step=0.1), dt=0.2, step=0.03)
     assert loop.pending == pending
     inputs, x = np.array([1.0, 2.0, 3.0])[-1 - pending :], np.array([0.3, -0.2])
-    found = loop.move(torch.from_numpy(x)[None], torch.from_numpy(inputs).reshape(1, -1, 1))
+    found = loop._move(torch.from_numpy(x)[None], torch.from_numpy(inputs).reshape(1, -1, 1))
     late = round(delay / 0.1)
     for u in np.repeat(inputs, 2)[len(inputs) * 2 - 2 - late :][:2]:
         x = np.array([[1.0, 0.1], [-0.4, 0.95]]) @ x + np.array([0.0, 0.1]) * u
