@@ -125,7 +125,7 @@ class DynaReplay:
         device: device of the storages.
 
     Raises:
-        ValueError: a size is not positive, or `real_ratio` or `keys` is not allowed.
+        ValueError: a size is not positive, or `real_ratio` is not allowed.
     """
 
     def __init__(
@@ -148,8 +148,6 @@ class DynaReplay:
             raise ValueError(
                 f"Replay has real_ratio={real_ratio}; give a share in [0, 1], or null for a single buffer."
             )
-        if missing := set(LEARN_KEYS) - set(keys):
-            raise ValueError(f"Replay keys lack {[*map(_name, missing)]}; give the keys to learn from and any others.")
         self.batch_size, self.real_ratio = batch_size, real_ratio
         self.device = torch.device(device)
         # In the CPU's memory, so that a seed draws the same rows on every device.

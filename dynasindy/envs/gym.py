@@ -35,12 +35,9 @@ class _GymControl(gymnasium.Env[Array, Array]):
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012 (Gymnasium's name)
 
     def __init__(self, env: ControlEnv, render_mode: str | None = None) -> None:
-        if tuple(env.batch_size):
-            raise ValueError(f"Gymnasium environments have one row, got batch size {tuple(env.batch_size)}; use ()")
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode '{render_mode}' is unknown; use None or 'rgb_array'")
-        if not isinstance(env.task, Tracking):
-            raise TypeError(f"task {type(env.task).__name__} tracks nothing; adapt environments with a Tracking task")
+        assert isinstance(env.task, Tracking) and not env.batch_size
         self.env, self._task = env, env.task
         self.render_mode = render_mode
         n_o, n_u = env.task.n_o, env.system.signature.n_u
@@ -79,13 +76,8 @@ class _GymControl(gymnasium.Env[Array, Array]):
         return observation, float(after["reward"]), False, over or bool(after["truncated"]), info
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy goes on from; the compiled step knows only where the numbers of this one lie."""
-        return {name: value for name, value in vars(self).items() if name != "_compiled"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Go on as a copy."""
-        vars(self).update(state)
-        self._compiled = None if self._steps is None else _compiled_step(self.env, self._now)
+        """Return what a copy goes on from; until its next episode without the compiled step, which reads from here."""
+        return {**vars(self), "_compiled": None}
 
     def render(self) -> Frame | None:
         """Return a picture of the state, uint8 `(height, width, 3)`, or None without a render mode."""

@@ -141,17 +141,22 @@ static void end_step(const struct flow *f, int s)
                                         : at[i][r] + f->h / 6 * ((k[0][r] + k[3 * n][r]) + 2 * (k[n][r] + k[2 * n][r]));
 }
 
+/* A row times a matrix that is mostly zero, `elements`, is added to another row. */
+static void multiply(struct places places, double (*row)[W], double (*elements)[W], double (*result)[W])
+{
+    for (int k = 0; k < places.n; k++) {
+        const double *p = row[places.row[k]], *q = elements[k];
+        double *restrict c = result[places.column[k]];
+        for (int r = 0; r < W; r++) c[r] += p[r] * q[r];
+    }
+}
+
 /* Weights of the rates of a stage times their slopes by the states. */
 static void move_weights(const struct flow *f, int stage)
 {
-    double (*a)[W] = f->weight + stage * f->n_x, (*moved)[W] = f->moved + stage * f->n_x;
-    double (*slopes)[W] = f->of_state + stage * f->state_places.n;
+    double (*moved)[W] = f->moved + stage * f->n_x, (*slopes)[W] = f->of_state + stage * f->state_places.n;
     memset(moved, 0, f->n_x * sizeof *moved);
-    for (int k = 0; k < f->state_places.n; k++) {
-        const double *p = a[f->state_places.row[k]], *q = slopes[k];
-        double *restrict c = moved[f->state_places.column[k]];
-        for (int r = 0; r < W; r++) c[r] += p[r] * q[r];
-    }
+    multiply(f->state_places, f->weight + stage * f->n_x, slopes, moved);
 }
 
 /* From the weights of the states after a step to those of its rates, and of the states before. */
@@ -193,17 +198,6 @@ static void add_own(const struct flow *f, int n_p, const int *feature, const int
             c[r] += (p[r] * q[r] + p[n_x * W + r] * q[n_f * W + r]) +
                     (p[2 * n_x * W + r] * q[2 * n_f * W + r] + p[3 * n_x * W + r] * q[3 * n_f * W + r]);
     }
-}
-
-static void add_shapes(const struct flow *f, double (*own)[W])
-{
-    for (int stage = 0; stage < f->stages; stage++)
-        for (int k = 0; k < f->shape_places.n; k++) {
-            const double *p = f->weight[stage * f->n_x + f->shape_places.row[k]];
-            const double *q = f->of_shape[stage * f->shape_places.n + k];
-            double *restrict c = own[f->shape_places.column[k]];
-            for (int r = 0; r < W; r++) c[r] += p[r] * q[r];
-        }
 }
 
 /* From the derivatives of an interval's end by its begin to those by the begin of the first interval. */
@@ -282,7 +276,9 @@ void simulate(long rows, long periods, int n_x, int n_u, int n_k, int n_v, int n
                 if (pass < steps) end_step(&f, at);
                 for (int i = 0; with && i < n_x; i++) {
                     weigh_stages(&f, own + i * columns);
-                    add_shapes(&f, own + i * columns + n_x + n_g);
+                    for (int stage = 0; stage < f.stages; stage++)
+                        multiply(f.shape_places, f.weight + stage * n_x, f.of_shape + stage * f.shape_places.n,
+                                 own + i * columns + n_x + n_g);
                     add_own(&f, n_p, parameters, parameters + n_p, own + i * columns + n_x + n_g + n_s);
                 }
             }
