@@ -179,8 +179,8 @@ def _read_run(folder: Path, root: Path, level: Level) -> tuple[dict[str, Any], p
         setting = ",".join([*words[:1], *(word for part in words[1:] for word in overrides(part))])
         place = {"system": system, "experiment": experiment, "setting": setting, "seed": int(metrics["seed"])}
         curve = read_ablation(folder / "progress.csv", ()).dropna(subset="evaluated_return")
-        if ranges := _ranges(metrics):
-            curve[SHARE] = worst_errors(curve, ranges)
+        if not set(metrics.get("units", {}).values()) <= {"rad"}:
+            curve[SHARE] = worst_errors(curve, {name: float(extent) for name, extent in metrics["ranges"].items()})
         commit = str(read_json(origin)["commit"]) if origin.is_file() else "unknown"
         row = {**place, **_summarise_run(curve, level), "commit": commit}
         return row, pd.DataFrame({**place, **curve}, index=curve.index)
@@ -214,10 +214,3 @@ def _merged(old: pd.DataFrame, new: pd.DataFrame) -> pd.DataFrame:
     found = {*new[KEY].itertuples(index=False, name=None)}
     kept = old[[key not in found for key in old[KEY].itertuples(index=False, name=None)]]
     return pd.concat([part for part in (kept, new) if len(part)]).sort_values(KEY, kind="stable")
-
-
-def _ranges(metrics: Mapping[str, Any]) -> dict[str, float]:
-    """Return the target range of each output, in its unit; none where all outputs are in rad."""
-    if set(metrics.get("units", {}).values()) <= {"rad"}:
-        return {}
-    return {name: float(extent) for name, extent in metrics["ranges"].items()}

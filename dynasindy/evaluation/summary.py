@@ -99,12 +99,8 @@ def evaluation_title(evaluation: Evaluation) -> str:
 
     It says what disturbs the plant and by how much, when it does, and that steps are judged before.
     """
-    what = "reference" if evaluation.columns else "episode"
-    facts = [
-        f"{len(evaluation.outputs)} {what}{'s' * (len(evaluation.outputs) > 1)}",
-        format_duration(evaluation.seconds),
-    ]
-    facts += evaluation.disturbances
+    count, what = len(evaluation.outputs), "reference" if evaluation.columns else "episode"
+    facts = [f"{count} {what}{'s' * (count > 1)}", format_duration(evaluation.seconds), *evaluation.disturbances]
     facts += [
         f"disturbed from {format_duration(start, end)} to {format_duration(end)}" for start, end in evaluation.windows
     ]
