@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, OVERFLOWS, clock_of, date_unit, is_counter
 from dynasindy.data.headings import (
+    COMMAND,
+    INPUT,
     PLAIN_RATES,
     SECONDS,
     find_names,
@@ -302,10 +304,6 @@ def _last_digit(column: Array) -> float:
 
 RARE = 0.01
 """Share of the rows in which a label changes at most."""
-INPUT = re.compile(r"(u|U|input)([_\d].*)?")
-"""How inputs are called."""
-COMMAND = re.compile(r"(.*_)?(cmd|command|input)([_ \d].*)?")
-"""How they may be called where none is called so: beside an input, a command may be a target."""
 REFERENCE = re.compile(
     r"(.*[_ .])?(ref|r[e\u00e9]f[e\u00e9]ren\w*|set[_ ]?point|sp|target|soll\w*|consign\w*)([_ .\d].*)?", re.I
 )

@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dynasindy.data.files import MEASURED, PLAIN, read_file
-from dynasindy.data.headings import UNITS, is_clock, named_by, plain_heading, plain_headings, split_unit
+from dynasindy.data.headings import COMMAND, INPUT, UNITS, is_clock, named_by, plain_heading, plain_headings, split_unit
 from dynasindy.findings import Finding, LogError, note
 from dynasindy.sentences import setting
 from dynasindy.text import did_you_mean
@@ -130,7 +130,7 @@ def _read(path: Path, changed: int, size: int) -> Table:
         if unit and not split_unit(heading)[1]:
             heading = headings[k] = plain_heading(f"{heading} [{unit}]")
         column, wrong, is_date = _numbers(cells)
-        if not is_date and (code := _lost_code(column)) is not None:
+        if not is_date and (code := _lost_code(column, split_unit(heading)[0])) is not None:
             lost = column == code
             column, line = np.where(lost, np.nan, column), int(raw.index[lost.argmax()])
             findings.append(note("log.code", column=heading, value=code, count=int(lost.sum()), line=line))
@@ -172,19 +172,21 @@ def _with_signals_apart(raw: pd.DataFrame, findings: list[Finding]) -> tuple[pd.
     return wide.reset_index().set_axis(lines, axis=0), [*findings, note("log.long_format", signals=[*wide])]
 
 
-def _lost_code(column: Array) -> float | None:
-    """Return the number that stands for samples that were lost: a usual one, farther off the others than these lie."""
+def _lost_code(column: Array, name: str) -> float | None:
+    """Return the number that stands for samples that were lost, farther off the others than these lie.
+
+    It is a usual one, or one that comes again and again for a few rows in what moves and is no input, which has pulses.
+    """
     finite = column[np.isfinite(column)]
     usual = np.median(finite[:: 1 + len(finite) // 1000]) if len(finite) else 0.0
     for end in (finite.min(), finite.max()) if len(finite) else ():
         if 2 * abs(end - usual) <= np.ptp(finite):  # not so far off
             continue
         lost = finite == end
-        rest, known = finite[~lost], abs(end) in CODES or abs(end) >= HUGE
-        # Another number is one, too, where a column that moves is there again and again, for a few rows each time.
-        again = np.count_nonzero(np.diff(lost, prepend=False) & lost)
-        rare = end and again >= 3 and lost.sum() < min(5 * again, 0.2 * len(lost)) and (np.diff(rest) != 0).mean() > 0.5
-        if (known or rare) and len(rest) and np.abs(rest - end).min() > np.ptp(rest):
+        rest, times = finite[~lost], np.count_nonzero(np.diff(lost, prepend=False) & lost)
+        moves = end and (np.diff(rest) != 0).mean() > 0.5 and not (INPUT.fullmatch(name) or COMMAND.fullmatch(name))
+        again = moves and times >= 3 and lost.sum() < min(5 * times, 0.2 * len(lost))
+        if (again or abs(end) in CODES or abs(end) >= HUGE) and np.abs(rest - end).min() > np.ptp(rest):
             return float(end)
     return None
 
