@@ -13,7 +13,6 @@ from torch import Tensor
 from dynasindy.sindy.equations import require_finite
 from dynasindy.sindy.functions import TORCH_FUNCTIONS, function
 from dynasindy.sindy.library import Factor, Library
-from dynasindy.systems.base import Signature
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.interpreter import MeasurementUpdate, simulate_program
 from dynasindy.systems.machine import Program
@@ -54,24 +53,38 @@ Term = tuple[dict[Factor, int], float]  # powers of elementary functions, and th
 
 
 class Writer:
-    """Collect lines of code with infix operators; every value is written once, and what is called is formulas' own.
+    """Write sums of functions, in lines of code with infix operators; every value once, and formulas' own calls alone.
 
-    Another language overrides how numbers, functions and sums of two are written, see `dynasindy.sindy.formulas`.
+    Another language overrides how numbers and sums of two are written, see `dynasindy.sindy.formulas`.
 
     Args:
-        signature: names of the states and inputs, which are `x[0]`, ..., `u[0]`, ... in the code, as numbers are
-            elements of `k`.
+        library: candidate functions of states and inputs, which are `x[0]`, ..., `u[0]`, ... in the code, as numbers
+            are elements of `k`.
+        coefficients: of each sum, `(n_features, n)`, as Xi; zeros cost nothing.
 
     Attributes:
         lines: values, each written once, in the order in which they are computed.
-        results: what is computed, in terms of these.
+        results: the sums, in terms of these.
+
+    Raises:
+        ValueError: there are too many terms.
     """
 
-    def __init__(self, signature: Signature) -> None:
-        self.signature, self.lines, self.results = signature, list[str](), list[str]()
-        self.written, self.constants = dict[object, str](), list[float]()
+    def __init__(self, library: Library, coefficients: Tensor) -> None:
+        signature = self.signature = library.signature
+        self.lines, self.written, self.constants = list[str](), dict[object, str](), list[float]()
         names = (*signature.state_names, *signature.input_names)
         self.variable = {name: self._variable(place) for place, name in enumerate(names)}
+        used = (coefficients != 0).any(-1).nonzero().flatten().tolist()
+        table = zip(used, coefficients[used].tolist(), strict=True)
+        terms = [({f.base: f.power for f in library.features[k].factors}, row) for k, row in table]
+        sums = [[(powers, row[i]) for powers, row in terms if row[i]] for i in range(coefficients.shape[1])]
+        try:
+            self.results = [self._sum(each) if each else self._zero() for each in sums]
+        except RecursionError as error:
+            raise ValueError(
+                f"the model has too many terms of {len(library)}; remove some: raise the threshold"
+            ) from error
 
     def program(self, step: float | None = None) -> Program:
         """Return what was written; `step` is that of the difference equation."""
@@ -125,31 +138,6 @@ class Writer:
         frequency = self._constant(factor.frequency)
         return [self._line((a, factor.frequency), f"{a} * {frequency}") for a in args]
 
-
-class InfixWriter(Writer):
-    """Write the sums of a sparse model.
-
-    Args:
-        library: candidate functions.
-        coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
-
-    Raises:
-        ValueError: the model has too many terms.
-    """
-
-    def __init__(self, library: Library, coefficients: Tensor) -> None:
-        super().__init__(library.signature)
-        used = (coefficients != 0).any(-1).nonzero().flatten().tolist()
-        table = zip(used, coefficients[used].tolist(), strict=True)
-        terms = [({f.base: f.power for f in library.features[k].factors}, row) for k, row in table]
-        rows = [[(powers, row[i]) for powers, row in terms if row[i]] for i in range(library.signature.n_x)]
-        try:
-            self.results = [self._sum(row) if row else self._zero() for row in rows]
-        except RecursionError as error:
-            raise ValueError(
-                f"the model has too many terms of {len(library)}; remove some: raise the threshold"
-            ) from error
-
     def _sum(self, terms: list[Term]) -> str:
         """Write a sum; terms that share a function are summed before they are multiplied by it."""
         shared = self._shared(terms)
@@ -202,7 +190,7 @@ class InfixWriter(Writer):
         return f"{total} + {self._constant(c)} * {value}"
 
 
-class _TorchWriter(InfixWriter):
+class _TorchWriter(Writer):
     """Write torch code in as few operations as there can be."""
 
     def source(self) -> str:
@@ -237,7 +225,7 @@ def write_program(library: Library, coefficients: Tensor) -> Program:
     Raises:
         ValueError: the model has too many terms.
     """
-    return InfixWriter(library, coefficients).program(library.step)
+    return Writer(library, coefficients).program(library.step)
 
 
 @lru_cache(maxsize=4)

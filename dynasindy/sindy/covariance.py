@@ -1,15 +1,9 @@
 """How well a fit knows its coefficients: their covariance, from how they move when a stretch of the data is left out.
 
-| name   | symbol                                                   | shape    |
-| ------ | -------------------------------------------------------- | -------- |
-| rows   | [J e]: slopes of the predictions by the unknowns, errors | `(N, M)` |
-| factor | L, with L L' the covariance of the coefficients          | `(P, K)` |
-
-The textbook's covariance, s^2 inv(J'J), takes every error for a witness of its own. Errors of a model that lacks
-something last over many samples, and it is then too small many times over. Here the samples are cut into stretches.
-Each one is left out in turn, and the linear least squares are solved without it: coefficients that follow from
-every part of the data alike hardly move. This is the jackknife over groups (Quenouille 1956, Tukey 1958). It holds for
-errors that last, as long as they are forgotten within a stretch, and for errors of which no size is known.
+The textbook's covariance, s^2 inv(J'J), takes every error for a witness of its own, and is many times too small where
+errors of a model last over many samples. Here each of some stretches is left out in turn, and the linear least squares
+are solved without it: the jackknife over groups (Quenouille 1956, Tukey 1958). It holds for errors that are forgotten
+within a stretch, and of which no size is known.
 """
 
 from __future__ import annotations
@@ -39,13 +33,6 @@ class Covariance(NamedTuple):
     features: Tensor
     states: Tensor
     factor: Tensor
-
-    @classmethod
-    def of(cls, parameters: Parameters, factor: Tensor) -> Covariance | None:
-        """Return the covariance of named coefficients; None where there are none, as of equations that are given."""
-        if not len(parameters):
-            return None
-        return cls(parameters.features, parameters.states, factor)
 
     @property
     def errors(self) -> Tensor:
@@ -94,6 +81,8 @@ def of_rates(coefficients: Tensor, free: Tensor, theta: Tensor, dx: Tensor) -> C
         dx: rates of change, `(N, n_x)`.
     """
     parameters = Parameters.where(free & (coefficients != 0))
+    if not len(parameters):
+        return None
     errors, factors = dx - theta @ coefficients, []
     for state in range(coefficients.shape[1]):
         active = parameters.features[parameters.states == state]
@@ -102,7 +91,7 @@ def of_rates(coefficients: Tensor, free: Tensor, theta: Tensor, dx: Tensor) -> C
         if factor is None:
             return None
         factors.append(factor)
-    return Covariance.of(parameters, torch.cat(factors))
+    return Covariance(parameters.features, parameters.states, torch.cat(factors))
 
 
 def jackknife(parts: Sequence[Tensor], always: Tensor | None = None) -> Tensor | None:

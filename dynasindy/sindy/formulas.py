@@ -15,7 +15,7 @@ import re
 import textwrap
 from collections.abc import Iterable
 
-from dynasindy.sindy.codegen import InfixWriter
+from dynasindy.sindy.codegen import Writer
 from dynasindy.sindy.equations import mapping
 from dynasindy.sindy.model import SindyModel
 from dynasindy.systems.machine import Program
@@ -105,7 +105,7 @@ def right_sides(model: SindyModel) -> Program:
     return _FormulaWriter(*mapping(model.library, model.coefficients)).program()
 
 
-class _FormulaWriter(InfixWriter):
+class _FormulaWriter(Writer):
     """Write numbers where they are used."""
 
     def _constant(self, value: float) -> str:

@@ -814,8 +814,6 @@ def _read(data: dict[str, Any]) -> SindyModel:
     for i, state in enumerate(signature.state_names):
         for name, value in _numbers(data["coefficients"][state]).items():
             found[place[name] if name in place else library.index(name), i] = value
-    with torch.no_grad():  # a function with other arguments than it takes fails here, not in the middle of a run
-        library(torch.ones(1, signature.n_x, dtype=torch.float64), torch.ones(1, signature.n_u, dtype=torch.float64))
     if not 0 <= (delay := _number(data.get("delay", 0.0))) <= LONGEST:
         raise TypeError(f"delay is {delay} s; allowed is 0 to {LONGEST:g} s")
     model = SindyModel(signature, library, allowed=allowed, fixed=fixed)

@@ -126,9 +126,8 @@ class _FunctionWriter(Writer):
     """Write functions; the number of each of `shapes` is a constant of its own."""
 
     def __init__(self, library: Library, shapes: Sequence[Factor]) -> None:
-        super().__init__(library.signature)
         self.shapes, self.numbers = set(shapes), dict[Factor, int]()
-        self.results = [self._product({f.base: f.power for f in own.factors}) or "1.0" for own in library.features]
+        super().__init__(library, torch.eye(len(library)))
 
     def _scaled(self, factor: Factor) -> list[str]:
         if factor.base not in self.shapes:

@@ -386,10 +386,8 @@ def shooting_covariance(flow: Flow) -> Covariance | None:
         return None
     # Errors within a window have its start in common, so it is left out as a whole where there are enough of them.
     triangles, rest, _ = _condensed(flow, flow.sigma(), STRETCHES)
-    factor = jackknife(triangles, rest if len(rest) else None)
-    if factor is None:
-        return None
-    return Covariance.of(flow.parameters, factor[len(factor) - len(flow.parameters) :])
+    factor, count = jackknife(triangles, rest), len(flow.parameters)
+    return None if factor is None else Covariance(flow.parameters.features, flow.parameters.states, factor[-count:])
 
 
 def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Tensor, Tensor]:
