@@ -24,6 +24,7 @@ PLAIN = re.compile(r"[^\W\d][\w ./^²°%-]*|[-+]?[\d.]+(?:e[-+]?\d+)?|NUMBER")
 """A word that YAML takes without quotation marks."""
 FEW = 4
 """Names that a sentence lists."""
+WORDS = {True: "CONTROLLED", False: "NOT CONTROLLED", None: "NOT JUDGED"}
 HEADS = {"note": "note", "weak": "warning", "wrong": "wrong"}
 
 
@@ -253,41 +254,39 @@ def _coarse_steps(apart: float | None, needed: int | None) -> str:
     return f"the simulation of the plant is coarse: with twice as many steps a control period ends {ends}, {mend}"
 
 
-def _controlled(
-    controlled: bool | None,
+def _tracked(
     outputs: Mapping[str, Mapping[str, Any]],
     within: float,
-    away: Mapping[str, Any],
-    idle: Mapping[str, Any],
-    grew: bool | None,
-    ringing: Sequence[str] = (),
-    lost: float | None = None,
+    lost: float,
+    away: Mapping[str, Mapping[str, Any]],
+    idle: Sequence[str],
+    ringing: Sequence[str],
+    grew: bool | None = None,
+    seconds: float | None = None,
     rates: Sequence[str] = (),
     targets: Mapping[str, Sequence[float]] | None = None,
 ) -> str:
-    """Say whether a plant is held, and how near."""
-    word = {True: "CONTROLLED", False: "NOT CONTROLLED", None: "NOT JUDGED"}[controlled]
-    texts = [
-        f"{name} {percent(each['share'])} {'of a turn' if each['of_turn'] else 'of the target range'} on average, "
-        f"{percent(each['worst'])} at worst"
-        for name, each in outputs.items()
-    ]
-    limits = f"{percent(within)} on average" + ("" if lost is None else f", {percent(lost)} at worst")
-    parts = [f"errors at the end: {'; '.join(texts)} (limits: {limits})"]
+    """Say how near a plant is held, and what becomes of states that are not tracked."""
+    texts = []
+    for name, each in outputs.items():
+        both = " to ".join(dict.fromkeys(map(_percent, (each["least"], each["most"]))))  # one where they are alike
+        reference = "of a turn" if each["of_turn"] else "of the target range"
+        texts.append(f"{name} {both} {reference} on average, {_percent(each['worst'])} at worst")
+    end = "the end" if seconds is None else f"the end of simulations of {format_duration(seconds)}"
+    limits = f"{_percent(within)} on average, {_percent(lost)} at worst"
+    parts = [f"errors at {end}: {'; '.join(texts)} (limits: {limits})"]
     if not outputs:
         parts = ["the task names no targets, so nothing is said of control"]
         if grew is not None:
             parts += [f"the mean return {'grew' if grew else 'did not grow'} beside that of the untrained policy"]
-    for swings in (False, True):
+    for swings, fate in ((False, "run away or do not come to rest"), (True, "do not come to rest")):
         shares = {name: each["share"] for name, each in away.items() if each["swings"] == swings}
         if shares:
-            most = f"{'up to ' if len(set(shares.values())) > 1 else ''}{percent(max(shares.values()))}"
-            parts.append(f"{_untracked([*shares], not swings, True)} in {most} of the runs")
-    parts += [_track_rates(rates, targets)] if away and targets else []
-    parts += [_ringing(ringing)] if ringing else []
-    runs_on = "runs on, which nothing depends on, in"
-    parts += [f"{name} {runs_on} {percent(share)} of the runs" for name, share in idle.items()]
-    return f"{word}: {'; '.join(parts)}"
+            parts.append(f"not tracked, {_few(shares)} {fate} in up to {_percent(max(shares.values()))} of the runs")
+    parts += [_track_rates(rates, targets)] if targets else []
+    parts += [f"still ringing, decaying: {_few(ringing)}"] if ringing else []
+    parts += [f"running on, which nothing depends on: {_few(idle)}"] if idle else []
+    return "; ".join(parts)
 
 
 def _few(names: Iterable[str]) -> str:
@@ -295,14 +294,6 @@ def _few(names: Iterable[str]) -> str:
     first = [*names]
     more = len(first) - FEW
     return ", ".join(first) if more <= 1 else f"{', '.join(first[:FEW])} and {more} more"
-
-
-def _untracked(states: Sequence[str], runs_away: bool, restless: bool) -> str:
-    """Say what becomes of states that are not tracked."""
-    one = len(states) == 1
-    away, rest = ("runs away", "does not come to rest") if one else ("run away", "do not come to rest")
-    fates = " or ".join([away] * runs_away + [rest] * restless)
-    return f"{_few(states)}, which {'is' if one else 'are'} not tracked, {fates}"
 
 
 def _track_rates(rates: Sequence[str], targets: Mapping[str, Sequence[float]]) -> str:
@@ -315,13 +306,9 @@ def _track_rates(rates: Sequence[str], targets: Mapping[str, Sequence[float]]) -
     return f"it helps to track {' and '.join(rates)} as well, which are 0 at rest: {' '.join(words)}"
 
 
-def _ringing(states: Sequence[str]) -> str:
-    return f"{_few(states)} still ring{'s' if len(states) == 1 else ''}, decaying"
-
-
-def percent(share: float | None) -> str:
+def _percent(share: float) -> str:
     """Return a share in percent, or as a factor from 10 on."""
-    if share is None or not math.isfinite(share):
+    if not math.isfinite(share):
         return "no number"
     return f"{float(f'{100 * share:.2g}'):g} %" if share < 10 else f"{float(f'{share:.2g}'):g} times"
 
@@ -338,19 +325,6 @@ def _distrusted(closed: int, episodes: int, episode: int, error: float | None, c
 
 
 # --- what a controller will do ---------------------------------------------------------------------------------------
-
-
-def _forecast_errors(
-    outputs: Mapping[str, Mapping[str, Any]], seconds: float | None, within: float, lost: float
-) -> str:
-    """Say how large errors are at the end, of each output."""
-    end = "the end" if seconds is None else f"the end of simulations of {format_duration(seconds)}"
-    texts = []
-    for name, each in outputs.items():
-        both = dict.fromkeys(f"{value:.2g}" for value in (each["least"], each["most"]))  # one where they are alike
-        reference = "of a turn" if each["of_turn"] else "of the target range"
-        texts.append(f"{name} {' to '.join(both)} % {reference} on average, {each['worst']:.2g} % at worst")
-    return f"errors at {end} (limits: {within:g} % on average, {lost:g} % at worst): {'; '.join(texts)}"
 
 
 def _period(seconds: float, cause: str, value: float, ahead: int) -> str:
@@ -701,16 +675,11 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "'{scenario}' is {trained:.6g}, the untrained policy's {untrained:.6g}",
     "run.no_better": "no usable result: the trained policy's return in scenario '{scenario}' is {trained:.6g}, the "
     "untrained one's {untrained:.6g}; check plant and reward, or train longer{episodes:?and look in gate.csv}",
-    "run.controlled": _controlled,
+    "run.tracked": lambda controlled, **facts: f"{WORDS[controlled]}: {_tracked(**facts)}",
     "run.gate_closed": _distrusted,
     # what a controller will do
-    "forecast.errors": _forecast_errors,
+    "forecast.tracked": lambda controlled, **facts: _tracked(**facts),
     "forecast.runs_away": "models that run away: {models} of {of}",
-    "forecast.untracked": lambda states, runs_away, rates=(), targets=None: (
-        _untracked(states, runs_away, not runs_away) + (f"; {_track_rates(rates, targets)}" if targets else "")
-    ),
-    "forecast.ringing": _ringing,
-    "forecast.idle": "{state} runs on, which nothing depends on",
     "forecast.no_equilibrium": "{targets}: give a smaller range of targets, or log and use more of the inputs' range",
     "forecast.models_differ": "what the log leaves open decides whether models are held: log longer, let the inputs "
     "change more often and more widely, or name functions and states that the model lacks",

@@ -1,6 +1,5 @@
 """Evaluate a policy: `python scripts/evaluate.py run=PATH 'scenarios=[step,sine,noise]' [animate=true]`."""
 
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,10 +13,9 @@ def main(cfg: Any) -> None:
     from saved_run import load_config, load_policy, load_scenario, load_sensing
 
     from dynasindy.control.integral import IntegralAction
-    from dynasindy.dyna.verdict import judge_control
     from dynasindy.evaluation.scenarios import evaluate
     from dynasindy.evaluation.summary import beyond_targets, evaluation_title, save_evaluation, summarise, to_text
-    from dynasindy.evaluation.tracking_criteria import WITHIN, judge_tracking
+    from dynasindy.evaluation.tracking_criteria import WITHIN, judge_control, judge_tracking
     from dynasindy.progress import say, width
     from dynasindy.safe_io import output_folder
     from dynasindy.sentences import lines
@@ -48,7 +46,7 @@ def main(cfg: Any) -> None:
         say(table, *lines(beyond_targets(result)), "")
         matter = states_that_matter(system, result.columns, result.trajectory["state"][0, 0])
         rerun = partial(evaluate, env, policy, scenario, sensing) if env.system.known else None
-        _, verdict = judge_control(asdict(judge_tracking(result, matter, rerun)), within, usable=None)
+        _, verdict = judge_control([judge_tracking(result, matter, rerun)], within)
         verdicts.append(f"  {scenario.name}: {verdict}")
     say("Verdict, against the error that was asked for:", *verdicts)
     say(f"Figures, tables and trajectories: {out}")

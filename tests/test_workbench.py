@@ -284,7 +284,7 @@ def test_targets_that_no_input_holds_are_told(model):
     feeble = copy.deepcopy(model)
     drive = feeble.coefficients[model.library.names.index("u")]
     drive[drive != 0] = 4.0
-    (told,) = (each for each in held_with(None, feeble).findings if each.code != "forecast.errors")
+    (told,) = (each for each in held_with(None, feeble).findings if each.code != "forecast.tracked")
     assert (told.code, told.severity) == ("forecast.no_equilibrium", "wrong")
     span = re.search(r"theta from (\S+) to ([\d.]+)", told.values["targets"])
     assert -float(span[1]) == pytest.approx(math.asin(4 / 9.81), abs=0.03) and float(span[2]) < 0.45

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from dynasindy.evaluation.tracking_criteria import LOST, WITHIN
+from dynasindy.evaluation.tracking_criteria import WITHIN, TrackingCriteria, judge_control
 from dynasindy.findings import Finding, note, weak, wrong
 
 HARDLY = 0.01
@@ -39,7 +39,7 @@ def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> RunVerdict:
         compared = (weak if hardly else note)("run.better", **facts, percent=100 * share, hardly=hardly)
     else:
         compared = wrong("run.no_better", **facts, episodes=bool(metrics.get("episodes", 1)))
-    controlled, tracked = judge_control(metrics["held"], within, usable)
+    controlled, tracked = judge_control([TrackingCriteria(**metrics["held"])], within, grew=usable)
     return RunVerdict(usable, controlled, (compared, tracked))
 
 
@@ -58,34 +58,6 @@ def distrusted(decisions: Sequence[Mapping[str, float | None]]) -> Finding | Non
     found = next((each for each in limits if each[1] > each[2]), ("no_number", None, None))
     counts = {"closed": len(closed), "episodes": len(decisions), "episode": int(_number(last["episode"]))}
     return weak("run.gate_closed", **counts, **dict(zip(("cause", "error", "limit"), found, strict=True)))
-
-
-def judge_control(
-    held: Mapping[str, Mapping[str, float | None]], within: float, usable: bool | None
-) -> tuple[bool | None, Finding]:
-    """Return whether a policy holds the plant, and the finding that says so.
-
-    It does if every output stays as near to its targets as was asked for, and nothing else runs away; it is None where
-    the task names no targets and nothing runs away: a return says nothing of control.
-
-    Args:
-        held: What was tracked, as a `TrackingCriteria` in figures.
-        within: Mean absolute error at the end that is asked for, in ranges of targets.
-        usable: Whether the policy is better than the untrained one; None where that was not compared.
-    """
-    outputs, missed = {}, False
-    for name, given in held["share"].items():
-        share, worst = _number(given), _number(held["worst"][name])
-        missed |= not (share <= within and worst <= LOST * within)
-        outputs[name] = {"share": share, "worst": worst, "of_turn": name in held.get("turned", ())}
-    away = {name: {"share": share, "swings": name in held.get("swings", {})} for name, share in held["away"].items()}
-    controlled = False if missed or away else True if outputs else None
-    facts = {"outputs": outputs, "within": within, "away": away, "idle": dict(held["idle"]), "grew": usable}
-    facts |= {"ringing": list(held.get("ringing", ())), "lost": LOST * within}
-    # Where outputs are not held either, it is not for a state that nobody asked to come to rest.
-    track = {} if missed else {"rates": list(held.get("rates", ())), "targets": dict(held.get("targets", {}))}
-    facts |= track if all(track.values()) else {}
-    return controlled, (wrong if controlled is False else note)("run.controlled", controlled=controlled, **facts)
 
 
 def _number(value: float | None) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -12,8 +12,8 @@ import torch
 
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
-from dynasindy.evaluation.tracking_criteria import LOST, WITHIN, TrackingCriteria, judge_tracking
-from dynasindy.findings import Finding, note, records, weak, wrong
+from dynasindy.evaluation.tracking_criteria import WITHIN, TrackingCriteria, judge_control, judge_tracking
+from dynasindy.findings import Finding, records, weak, wrong
 from dynasindy.sensing import Sensing
 from dynasindy.sentences import gravest_first
 from dynasindy.systems import Diverged, System
@@ -49,8 +49,8 @@ class Forecast:
     @property
     def controlled(self) -> bool:
         """Whether the controller holds every model as near as is asked for, and nothing speaks against the models."""
-        steady = all(flight is not None and not flight.away for flight in self.flights)
-        return not self._missed and steady and not self.doubts
+        flown = self._flown
+        return flown == [*self.flights] and judge_control(flown, self.within)[0] is not False and not self.doubts
 
     @property
     def promised(self) -> bool:
@@ -65,50 +65,22 @@ class Forecast:
         )
 
     @property
-    def _missed(self) -> bool:
-        """Whether an error is larger than is asked for; the worst reference of a model may be `LOST` times as far."""
-        flown = [flight for flight in self.flights if flight is not None]
-        share = [_number(each) for flight in flown for each in flight.share.values()]
-        worst = [_number(each) for flight in flown for each in flight.worst.values()]
-        return max(share, default=0.0) > self.within or max(worst, default=0.0) > LOST * self.within
+    def _flown(self) -> list[TrackingCriteria]:
+        return [flight for flight in self.flights if flight is not None]
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What the simulations show, and what speaks against the models; `wrong` where nothing is promised for it."""
-        n, flown = len(self.flights), [flight for flight in self.flights if flight is not None]
-        if not flown:
-            return (wrong("forecast.runs_away", models=n, of=n),)
-        findings = [(wrong if self._missed else note)("forecast.errors", **self._errors(flown))]
-        findings += [wrong("forecast.runs_away", models=n - len(flown), of=n)] if len(flown) < n else []
-        fates = {(name, name not in flight.swings) for flight in flown for name in flight.away}
-        for fate in (False, True):
-            if states := sorted(name for name, away in fates if away == fate):
-                rates = sorted({name for flight in flown if {*states} & {*flight.away} for name in flight.rates})
-                helps = bool(rates and flown[0].targets and not self._missed)
-                track = {"rates": rates, "targets": flown[0].targets} if helps else {}
-                findings.append(wrong("forecast.untracked", states=states, runs_away=fate, **track))
-        if ringing := sorted({name for flight in flown for name in flight.ringing} - {name for name, _ in fates}):
-            findings.append(note("forecast.ringing", states=ringing))
-        idle = sorted({name for flight in flown for name in flight.idle})
-        findings += [note("forecast.idle", state=name) for name in idle]
-        diverged = len(flown) < n or any(away for _, away in fates)
-        if not (self.controlled or diverged or self.doubts):
-            findings.append(self._advice(flown))
-        return tuple(gravest_first((*findings, *self.doubts)))
-
-    def _errors(self, flown: Sequence[TrackingCriteria]) -> dict[str, Any]:
-        """Return the errors of each output over the models [%]."""
-        outputs = {}
-        for name in flown[0].share:
-            shares = [100 * _number(flight.share[name]) for flight in flown]
-            outputs[name] = {
-                "least": min(shares),
-                "most": max(shares),
-                "worst": max(100 * _number(flight.worst[name]) for flight in flown),
-                "of_turn": name in flown[0].turned,
-            }
-        limits = {"within": 100 * self.within, "lost": 100 * LOST * self.within}
-        return {"outputs": outputs, "seconds": self.seconds, **limits}
+        n, flown, findings = len(self.flights), self._flown, [*self.doubts]
+        if flown:
+            held, tracked = judge_control(flown, self.within, "forecast.tracked", seconds=self.seconds)
+            findings.insert(0, tracked)
+            stays = len(flown) == n and all(each["swings"] for each in tracked.values["away"].values())
+            if held is False and stays and not self.doubts:
+                findings.append(self._advice(tracked.values["outputs"]))
+        if len(flown) < n:
+            findings.append(wrong("forecast.runs_away", models=n - len(flown), of=n))
+        return tuple(gravest_first(findings))
 
     def summary(self) -> str:
         """Return the prediction in one line."""
@@ -121,12 +93,12 @@ class Forecast:
             f"PREDICTED {place}: {'CONTROLLED' if self.controlled else lacking}: {'; '.join(map(str, self.findings))}"
         )
 
-    def _advice(self, flown: Sequence[TrackingCriteria]) -> Finding:
+    def _advice(self, outputs: Mapping[str, Mapping[str, float]]) -> Finding:
         """Return what may help where nothing runs away."""
         if self.no_equilibrium:
             return wrong("forecast.no_equilibrium", targets=self.no_equilibrium)
-        shares = [max(_number(share) for share in flight.share.values()) for flight in flown]
-        if not self.in_sample and min(shares) <= self.within < max(shares):
+        least, most = (max((errors[key] for errors in outputs.values()), default=0.0) for key in ("least", "most"))
+        if not self.in_sample and least <= self.within < most:
             return weak("forecast.models_differ")
         return weak("forecast.longer_plan")
 
@@ -175,7 +147,3 @@ def predict(
         matter, rerun = states_that_matter(model, result.columns, start), partial(evaluate, env, policy, scenario, seen)
         flights.append(judge_tracking(result, matter, rerun))
     return Forecast(tuple(flights), shown, within=within, seconds=scenario.length(plan))
-
-
-def _number(share: float | None) -> float:
-    return float("inf") if share is None else share

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.findings import Finding, note, wrong
 from dynasindy.systems import Diverged
 from dynasindy.systems.base import turn_of
 
@@ -109,6 +112,48 @@ def judge_tracking(
         targets=dict(zip(evaluation.output_names, evaluation.ends, strict=False)),
         rates=[names[j] for j in sorted(rates)],
     )
+
+
+def judge_control(
+    flights: Sequence[TrackingCriteria], within: float, code: str = "run.tracked", **facts: Any
+) -> tuple[bool | None, Finding]:
+    """Return whether a policy holds a plant, or each model of one, and the finding that says so.
+
+    It does if every output stays as near to its targets as was asked for, and nothing else runs away; it is None where
+    the task names no targets and nothing runs away: a return says nothing of control.
+
+    Args:
+        flights: What each of one plant or more shows.
+        within: Mean absolute error at the end that is asked for, in ranges of targets; the worst reference may be
+            `LOST` times as far.
+        code: Of the finding.
+        **facts: What else it says: `grew`, whether the return did, or `seconds`, how long the flights were.
+    """
+    outputs, first, missed = {}, flights[0], False
+    for name in first.share:
+        share = [_number(flight.share[name]) for flight in flights]
+        worst = [_number(flight.worst[name]) for flight in flights]
+        missed |= max(share) > within or max(worst) > LOST * within
+        outputs[name] = {"least": min(share), "most": max(share), "worst": max(worst), "of_turn": name in first.turned}
+    away: dict[str, dict[str, Any]] = {}
+    for flight in flights:
+        for name, share_of_runs in flight.away.items():
+            told = away.setdefault(name, {"share": 0.0, "swings": True})
+            told |= {"share": max(told["share"], share_of_runs), "swings": told["swings"] and name in flight.swings}
+    controlled = False if missed or away else True if outputs else None
+    facts |= {"controlled": controlled, "outputs": outputs, "within": within, "lost": LOST * within, "away": away}
+    ringing = dict.fromkeys(name for flight in flights for name in flight.ringing)
+    facts |= {"ringing": [name for name in ringing if name not in away]}
+    facts |= {"idle": sorted({name for flight in flights for name in flight.idle})}
+    rates = sorted({name for flight in flights for name in flight.rates})
+    # Where outputs are not held either, it is not for a state that nobody asked to come to rest.
+    if away and rates and first.targets and not missed:
+        facts |= {"rates": rates, "targets": first.targets}
+    return controlled, (wrong if controlled is False else note)(code, **facts)
+
+
+def _number(share: float | None) -> float:
+    return math.inf if share is None else share
 
 
 def _rates(evaluation: Evaluation) -> list[tuple[int, int]]:

@@ -106,7 +106,7 @@ def test_the_end_leaves_policy_model_and_metrics(recorded):
     assert metrics["verdict"]["controlled"] is False
     last = metrics["findings"][-1]
     assert (last["code"], last["severity"], set(last["values"]["outputs"])) == (
-        "run.controlled",
+        "run.tracked",
         "wrong",
         {"alpha_a", "alpha_p"},
     )

@@ -39,10 +39,10 @@ def test_a_policy_that_is_no_better_or_of_no_finite_return_is_no_result(untraine
 
 def test_an_output_within_what_is_asked_for_is_controlled():
     verdict = judge_run(metrics(-2.0, -1.0))
-    outputs = {"x": {"share": 0.004, "worst": 0.02, "of_turn": False}}
-    facts = {"outputs": outputs, "within": 0.01, "away": {}, "idle": {}, "grew": True, "ringing": []}
+    outputs = {"x": {"least": 0.004, "most": 0.004, "worst": 0.02, "of_turn": False}}
+    facts = {"outputs": outputs, "within": 0.01, "away": {}, "idle": [], "grew": True, "ringing": []}
     facts |= {"lost": 0.1}
-    assert verdict.controlled and verdict.findings[1] == note("run.controlled", controlled=True, **facts)
+    assert verdict.controlled and verdict.findings[1] == note("run.tracked", controlled=True, **facts)
 
 
 def test_states_that_still_ring_are_named_and_speak_against_nothing():
@@ -67,7 +67,7 @@ def test_a_large_error_a_lost_reference_and_a_state_that_runs_away_are_no_contro
     verdict = judge_run(metrics(-2.0, -1.0, **held), within)
     assert not verdict.controlled and verdict.usable
     told = verdict.findings[1]
-    assert (told.code, told.severity, told.values["controlled"]) == ("run.controlled", "wrong", False)
+    assert (told.code, told.severity, told.values["controlled"]) == ("run.tracked", "wrong", False)
     assert set(told.values["away"]) == set(held.get("away", {})) and words in str(told)
 
 
@@ -89,7 +89,7 @@ def test_a_verdict_says_its_limits():
 
 def test_a_mileage_that_runs_on_is_named_and_no_failure():
     verdict = judge_run(metrics(-2.0, -1.0, idle={"way": 1.0}))
-    assert verdict.controlled and verdict.findings[1].values["idle"] == {"way": 1.0}
+    assert verdict.controlled and verdict.findings[1].values["idle"] == ["way"]
 
 
 @pytest.mark.parametrize(

@@ -23,27 +23,27 @@ def seen(share, away=None, worst=None, idle=None):
 @pytest.mark.parametrize(
     ("flights", "errors", "more"),
     [
-        ((seen(0.001), seen(0.02)), ("wrong", 0.1, 2, 6), weak("forecast.models_differ")),
-        ((seen(0.001, worst=0.2),), ("wrong", 0.1, 0.1, 20), weak("forecast.longer_plan")),
-        ((seen(0.001), None), ("note", 0.1, 0.1, 0.3), wrong("forecast.runs_away", models=1, of=2)),
-        ((None, None), None, wrong("forecast.runs_away", models=2, of=2)),
-        (
-            (seen(0.001, {"cart": 0.5}),),
-            ("note", 0.1, 0.1, 0.3),
-            wrong("forecast.untracked", states=["cart"], runs_away=True),
-        ),
+        ((seen(0.001), seen(0.02)), ("wrong", 0.001, 0.02, 0.06), [weak("forecast.models_differ")]),
+        ((seen(0.001, worst=0.2),), ("wrong", 0.001, 0.001, 0.2), [weak("forecast.longer_plan")]),
+        ((seen(0.001), None), ("note", 0.001, 0.001, 0.003), [wrong("forecast.runs_away", models=1, of=2)]),
+        ((None, None), None, [wrong("forecast.runs_away", models=2, of=2)]),
+        ((seen(0.001, {"cart": 0.5}),), ("wrong", 0.001, 0.001, 0.003), []),
     ],
 )
 def test_one_model_that_is_not_held_breaks_it(flights, errors, more):
     found = Forecast(flights)
     assert not found.promised and "NOT promised" in found.summary()
-    assert more in found.findings and found.findings[0].severity == "wrong"  # the gravest comes first
-    first = [each for each in found.findings if each != more]
-    assert [each.code for each in first] == ["forecast.errors"] * bool(errors)
-    for each in first:
+    assert found.findings[0].severity == "wrong"  # the gravest comes first
+    tracked = [each for each in found.findings if each.code == "forecast.tracked"]
+    assert [each for each in found.findings if each not in tracked] == more
+    assert len(tracked) == bool(errors)
+    for each in tracked:
         told = each.values["outputs"]["theta"]
-        assert (each.severity, each.values["within"], each.values["lost"]) == (errors[0], 1, 10)
+        assert (each.severity, each.values["within"], each.values["lost"]) == (errors[0], 0.01, 0.1)
         assert [told[name] for name in ("least", "most", "worst")] == pytest.approx(errors[1:])
+        assert each.values["away"] == {
+            name: {"share": share, "swings": False} for name, share in flights[0].away.items()
+        }
     assert found.record()["promised"] is False
     assert len(found.record()["flights"]) == len(flights)
 
@@ -160,13 +160,13 @@ def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
     """A controller that swings, or only misses, wants more updates; one that loses the plant something else."""
     longer = weak("forecast.longer_plan")
     swinging = TrackingCriteria({"theta": 0.2}, {"theta": 0.4}, {"cart": 1.0}, {}, {"cart": 1.0})
-    assert wrong("forecast.untracked", states=["cart"], runs_away=False) in Forecast((swinging,)).findings
+    assert Forecast((swinging,)).findings[0].values["away"] == {"cart": {"share": 1.0, "swings": True}}
     assert longer in Forecast((swinging,)).findings and longer in Forecast((seen(0.02),)).findings
     assert longer not in Forecast((seen(0.001),)).findings
     for gone in ((seen(0.02), None), (seen(0.02, {"cart": 0.5}),)):
         found = Forecast(gone).findings
         assert longer not in found
-        assert {"forecast.runs_away", "forecast.untracked"} & {each.code for each in found}
+        assert found[0].severity == "wrong" and found[0].code in ("forecast.runs_away", "forecast.tracked")
 
 
 def test_a_doubt_breaks_a_promise():
