@@ -27,7 +27,7 @@ from torch import Tensor
 from dynasindy.findings import FindingError
 from dynasindy.sensing.offset import correction
 from dynasindy.sensing.sensors import LONGEST, Sensors
-from dynasindy.systems import Altered, Signature, Stops, System, integrate
+from dynasindy.systems import Altered, Diverged, Signature, Stops, System, integrate
 from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import Steps, split_delay, steps_of
 
@@ -178,6 +178,9 @@ class Observer:
         the noise levels are right; it is NaN where nothing was measured. Both are `(*batch,)`. An innovation that no
         plant has, see `FAR`, counts as a lost sample, and its state is doubted: one that truly is there is believed
         soon.
+
+        Raises:
+            Diverged: The covariance is singular, as where the model's slopes explode.
         """
         y = self._padded(y)
         measured, off = ~y.isnan(), y.double() - belief.mean
@@ -188,7 +191,13 @@ class Observer:
         innovation = torch.where(seen, off, 0.0).unsqueeze(-1)
         gained = belief.covariance @ pick
         spread = pick @ gained + torch.diag_embed(r)
-        gain = torch.linalg.solve(spread, gained.mT).mT
+        try:
+            gain = torch.linalg.solve(spread, gained.mT).mT
+        except torch.linalg.LinAlgError as error:  # type: ignore[attr-defined]
+            raise Diverged(
+                f"observer: the covariance of {', '.join(self.model.signature.state_names)} has grown beyond what can "
+                f"be solved within a control period of {self.dt:g} s; fit the model to more data, or shorten env.dt"
+            ) from error
         left = torch.eye(len(self.scale), dtype=torch.float64) - gain @ pick
         covariance = left @ belief.covariance @ left.mT + (gain * torch.where(seen, r, 0.0).unsqueeze(-2)) @ gain.mT
         if not torch.equal(seen, measured):
@@ -288,7 +297,7 @@ class Observer:
             self.q = self._candidates()
         try:
             means, nis, likelihoods = self.follow(y, u)
-        except torch.linalg.LinAlgError as error:  # type: ignore[attr-defined]
+        except Diverged as error:
             raise FindingError("observer.lost", states=self.model.signature.state_names, seconds=self.dt) from error
         chosen = int(likelihoods.sum(-1).argmax())
         self.q, self.nis = self.q[chosen].clone(), nis[chosen].nanmean().nan_to_num(nan=0.0).item()

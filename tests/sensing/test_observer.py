@@ -11,7 +11,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.findings import FindingError
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.sensing.observer import CANDIDATES, Belief
-from dynasindy.systems import Signature, System, Tras, integrate
+from dynasindy.systems import Diverged, Signature, System, Tras, integrate
 from dynasindy.tasks import Step, Tracking, TrackingReward
 
 DT = 0.05
@@ -290,6 +290,14 @@ def test_a_model_that_explodes_costs_no_estimate():
     assert torch.equal(after.mean, before.mean) and after.covariance.isfinite().all()
     assert (after.covariance.diagonal() > before.covariance.diagonal()).all()
     assert torch.equal(ours.ahead(before.mean, torch.zeros(ours.memory, 1)), before.mean)
+
+
+def test_a_covariance_that_cannot_be_solved_ends_the_run_in_a_word_of_ours():
+    ours = observer()
+    n = len(ours.scale)
+    belief = Belief(torch.zeros(n).double(), torch.full((n, n), 2.0**100).double())  # a reciprocal that is exact
+    with pytest.raises(Diverged, match="observer"):
+        ours.correct(belief, torch.zeros(ours.n_x))
 
 
 def test_the_slope_of_a_nonlinear_plant_is_that_of_autograd():
