@@ -65,8 +65,7 @@ def sentence(code: str, values: Mapping[str, Any]) -> str:
     if template is None:  # of a file that another version wrote
         return f"{code}: {', '.join(f'{name} {value}' for name, value in values.items())}"
     rest = {name: value for name, value in values.items() if name != "file"}
-    text = template(**rest) if callable(template) else _FORMATTER.vformat(template, (), rest)
-    text = SETTING.sub(_named, text)
+    text = SETTING.sub(_named, template(**rest) if callable(template) else _fill(template, rest))
     return f"{values['file']}: {text}" if "file" in values else text
 
 
@@ -93,23 +92,16 @@ class _Formatter(string.Formatter):
     """Format lists, durations, units, settings and words said if a value is true, beside what Python formats."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        if format_spec == "list":
-            return ", ".join(map(str, value))
-        if format_spec == "and":
-            return " and ".join(map(str, value))
-        if format_spec == "time":
-            return format_duration(value)
-        if format_spec == "unit":
-            return "" if value in ("", "-") else f" {value}"
-        if format_spec == "error":
-            return error_of(value)
+        if format_spec in FORMATS:
+            return FORMATS[format_spec](value)
         if format_spec.startswith("?"):
             return f" {format_spec[1:]}" if value else ""
         named = "." in format_spec[1:-1] and format_spec[0].isalpha()
         return setting(format_spec, value) if named else format(value, format_spec)
 
 
-_FORMATTER = _Formatter()
+def _fill(template: str, values: Mapping[str, Any]) -> str:
+    return _Formatter().vformat(template, (), values)
 
 
 def _flow(value: Any) -> str:
@@ -127,6 +119,17 @@ def error_of(value: float) -> str:
     if math.isnan(value):
         return "-"
     return f"{value:.2g}" if abs(value) < 100 else (f"{value:.0f}" if math.isfinite(value) else "runs away")
+
+
+FORMATS: dict[str, Callable[[Any], str]] = {
+    "list": lambda values: ", ".join(f"{each:g}" if isinstance(each, float) else str(each) for each in values),
+    "and": lambda values: " and ".join(map(str, values)),
+    "shares": lambda shares: ", ".join(f"{100 * share:.3g} % in {name}" for name, share in shares.items()),
+    "percent": lambda share: f"{100 * share:.3g} %",
+    "time": format_duration,
+    "unit": lambda unit: "" if unit in ("", "-") else f" {unit}",
+    "error": error_of,
+}
 
 
 # --- the log ---------------------------------------------------------------------------------------------------------
@@ -313,17 +316,6 @@ def _percent(share: float) -> str:
     return f"{float(f'{100 * share:.2g}'):g} %" if share < 10 else f"{float(f'{share:.2g}'):g} times"
 
 
-def _distrusted(closed: int, episodes: int, episode: int, error: float | None, cause: str, limit: float | None) -> str:
-    why = "no number"
-    if error is not None and limit is not None:
-        key = {"reward_closes": "close_above", "reward_opens": "open_below"}[cause]
-        why = f"{error:.2g} of reward per control period, above {setting(f'gate.{key}', limit)}"
-    return (
-        f"the model was not trusted, so that nothing was planned on it, after {closed} of {episodes} episodes: after "
-        f"episode {episode} its error on real periods that it was not fitted to was {why}; gate.csv tells of each"
-    )
-
-
 # --- what a controller will do ---------------------------------------------------------------------------------------
 
 
@@ -345,84 +337,26 @@ def _period(seconds: float, cause: str, value: float, ahead: int) -> str:
 # --- the check of a controller ---------------------------------------------------------------------------------------
 
 
-def _beside(value: float, limit: float, digits: int = 3) -> str:
-    """Return a figure with as many digits as tell on which side of its threshold it is."""
-    for more in range(12):
-        text = f"{value:.{digits + more}g}"
-        if (float(text) < limit, float(text) > limit) == (value < limit, value > limit):
-            break
-    return text
-
-
-def _error(error: float | None, limit: float, unit: str, output: str, **_: Any) -> str:
-    """Say how large an error is."""
-    return f"{'no bound' if error is None or math.isinf(error) else f'{_beside(error, limit)} {unit}'} of {output}"
-
-
-def _error_limit(limit: float, unit: str, size: float, output: str, **_: Any) -> str:
-    return f"{limit:.3g} {unit}, {100 * limit / size:g} % of the typical size of {output}"
-
-
-def _places(values: Sequence[float]) -> str:
-    return f"({', '.join(f'{value:g}' for value in values)})"
-
-
-def _stability(targets: int, unstable: int, outputs: Sequence[str], target: Sequence[float], **more: Any) -> str:
-    grid, place = f"{targets} target{'s' * (targets > 1)} of {' and '.join(outputs)}", _places(target)
-    if not unstable:
-        return (
-            f"stable at {'all ' * (targets > 1)}{grid}; largest spectral radius {_beside(more['radius'], 1.0, 4)} at "
-            f"{place}, threshold: < 1; the slowest motion there has a time constant of "
-            f"{format_duration(more['slowest'], digits=2)}"
-        )
-    rest = f"; at {more['restless']} of these targets there is no rest" if more["restless"] else ""
-    swing, limit, share = more["swing"], 100 * more["swing_limit"], more["swing"]["share"]
-    moves = f"{swing['output']} runs away, or its swings still grow"
-    if share is not None and not math.isinf(share):
-        size = f"{_error(**swing)}, {_beside(100 * share, limit, 2)} % of its typical size, to either side"
-        moves = f"goes on swinging, by {size}, and {more['input']} by {more['input_swing']:.2g}"
-    return (
-        f"NOT stable at {unstable} of {grid}, {'such as ' * (unstable > 1)}{place}{rest}; simulated there for "
-        f"{format_duration(more['seconds'])}, the output ends within {_error(**more['ends'])} of its target, and "
-        f"{moves}; thresholds: spectral radius < 1, or swings of {limit:g} %"
-    )
-
-
-def _margin(form: str) -> Callable[..., str]:
+def _margin(form: str) -> str:
     """Return what says a margin, its figure being in `form`."""
-
-    def text(value: float | None, limit: float, input: str, target: Sequence[float], large: bool, dt: float) -> str:
-        least = "without limit"
-        if value is not None and not math.isinf(value):
-            lag = f", {1000 * value * dt:.0f} ms," * form.endswith("periods")
-            least = f"the least is {form.format(_beside(value, limit))}{lag}"
-        how = ", in movements so large that dry friction hardly damps them" * large
-        return f"{least} of {input} at {_places(target)}{how}; threshold: {form.format(f'{limit:g}')}"
-
-    return text
+    least, limit = form.format("{value:.4g}"), form.format("{limit:g}")
+    how = "{large:?(in large movements, which dry friction hardly damps)}"
+    return f"the least is {least} of {{input}} at ({{target:list}}){how}; threshold: {limit}"
 
 
-def _coefficients(
-    plants: int, held: int, how: str, unstable: int, radius: float, slowest: float, ran_away: int, **error: Any
-) -> str:
-    stays = f"NOT stable with {unstable}" if unstable else "stable with all"
-    far = "no rest" if math.isinf(radius) else f"spectral radius {_beside(radius, 1.0, 4)}"
-    far += "" if math.isinf(slowest) else f", a time constant of {format_duration(slowest, digits=2)}"
-    steady = "" if unstable == plants else f", of those that come to rest a steady error of at most {_error(**error)}"
-    return (
-        f"{plants} plants with other coefficients, {how}, at {held} targets where the model itself is stable: {stays}, "
-        f"at worst {far}{steady}, and {ran_away} run away in the step of steps.png; threshold: stable, "
-        f"{_error_limit(**error)}"
-    )
-
-
-def _recovery(shares: Mapping[str, float], reach: float, tried: int, limit: float, **error: Any) -> str:
-    found = ", ".join(f"{_beside(100 * share, 100 * limit)} % in {both}" for both, share in shares.items())
-    return (
-        f"comes back from errors of up to {reach:g} times the typical size of each state: {found}, of {tried} each, "
-        f"and rests with an error of {_error(**error, limit=math.inf)}; threshold: {100 * limit:g} %"
-    )
-
+STABLE = (
+    "stable at {targets} of {targets} targets of {outputs:and}; largest spectral radius {radius:.4g} at ({target:list})"
+    ", threshold: < 1; the slowest motion there has a time constant of {slowest:time}"
+)
+UNSTABLE = (
+    "NOT stable at {unstable} of {targets} targets of {outputs:and}, at ({target:list}) for one, with no rest at "
+    "{restless} of them; simulated there for {seconds:time}, {ends[output]} ends within {ends[error]:.3g} {ends[unit]} "
+    "of its target, and {swing[output]} swings by {swing[error]:.3g} {swing[unit]} to either side (inf: it runs away, "
+    "or its swings grow), {swing[share]:percent} of its typical size, and {input} by {input_swing:.2g}; thresholds: "
+    "spectral radius < 1, or swings of {swing_limit:percent}"
+)
+NOISE = "noise of the sensors moves {input} by {value:.3g} (standard deviation); threshold: {limit:g}"
+NO_NOISE = "not known, as the controller's file states none of sensors; a run with sensors=bench, or on a log, does"
 
 _GENTLE = "Where <plant.rates> names rates, try <task.reward.rate_weight=10>, by which quick movements cost more"
 _VARIED = "try <planning.gain_range=0.5>, by which training varies its inputs more"
@@ -641,29 +575,24 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "model.uncontrolled": "in the equations that were found no input moves {outputs:list}, so nothing can be planned; "
     "record longer, and let every input change often and by much",
     # the check of a controller
-    "check.stability": _stability,
+    "check.stability": lambda **facts: _fill(UNSTABLE if facts["unstable"] else STABLE, facts),
     "check.gain_margin": _margin("{}"),
     "check.gain_reduction": _margin("1/{}"),
     "check.phase_margin": _margin("{} deg"),
     "check.delay_margin": _margin("{} control periods"),
     "check.disk_margin": _margin("{}"),
-    "check.noise": lambda value=0.0, limit=0.0, input="", known=True: (
-        f"noise of the sensors moves {input} by {_beside(value, limit)} (standard deviation); threshold: {limit:g}"
-        if known
-        else "not known, as the controller's file states none of sensors; a run with sensors=bench, or on a log, does"
-    ),
-    "check.steady_error": lambda begin, **error: (
-        f"in steps from {begin} at most {_error(**error)}; threshold: {_error_limit(**error)}"
-    ),
-    "check.slew": lambda begin, input, value, limit: (
-        f"{input} changes by up to {_beside(value, limit)} in a period of steps from {begin}; threshold: {limit:g}"
-    ),
-    "check.saturation": lambda begin, input, value, limit, seconds: (
-        f"in steps from {begin} {input} is at its limit for up to {_beside(100 * value, 100 * limit)} % of "
-        f"{format_duration(seconds)}; threshold: {100 * limit:g} %"
-    ),
-    "check.coefficients": _coefficients,
-    "check.recovery": _recovery,
+    "check.noise": lambda known=True, **facts: _fill(NOISE if known else NO_NOISE, facts),
+    "check.steady_error": "in steps from {begin} at most {error:.3g} {unit} of {output}; threshold: {limit:.3g} {unit}",
+    "check.slew": "{input} changes by up to {value:.3g} in a period of steps from {begin}; threshold: {limit:g}",
+    "check.saturation": "in steps from {begin} {input} is at its limit for up to {value:percent} of {seconds:time}; "
+    "threshold: {limit:percent}",
+    "check.coefficients": "{plants} plants with other coefficients, {how}, at {held} targets where the model itself is "
+    "stable: {unstable} are not stable, at worst with a spectral radius of {radius:.4g} (inf: no rest); of those that "
+    "come to rest a steady error of at most {error:.3g} {unit} of {output}, and {ran_away} run away in the step of "
+    "steps.png; threshold: stable, {limit:.3g} {unit}",
+    "check.recovery": "comes back from errors of up to {reach:g} times the typical size of each state: "
+    "{shares:shares}, of {tried} each, and rests with an error of {error:.3g} {unit} of {output}; threshold: "
+    "{limit:percent}",
     # a run
     "plant.coarse_steps": _coarse_steps,
     "plant.longer_episodes": "episodes have {steps} control periods (<task.max_steps>), and the environment is "
@@ -676,7 +605,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "run.no_better": "no usable result: the trained policy's return in scenario '{scenario}' is {trained:.6g}, the "
     "untrained one's {untrained:.6g}; check plant and reward, or train longer{episodes:?and look in gate.csv}",
     "run.tracked": lambda controlled, **facts: f"{WORDS[controlled]}: {_tracked(**facts)}",
-    "run.gate_closed": _distrusted,
+    "run.gate_closed": "the model was not trusted, so that nothing was planned on it, after {closed} of {episodes} "
+    "episodes: after episode {episode} its error on real periods that it was not fitted to was {error:.2g} of reward "
+    "per control period ({open_below:gate.open_below}, {close_above:gate.close_above}); gate.csv tells of each",
     # what a controller will do
     "forecast.tracked": lambda controlled, **facts: _tracked(**facts),
     "forecast.runs_away": "models that run away: {models} of {of}",

@@ -52,12 +52,10 @@ def distrusted(decisions: Sequence[Mapping[str, float | None]]) -> Finding | Non
     closed = [row for row in decisions if not row["open"]]
     if not closed:
         return None
-    last = closed[-1]
-    error, opens, closes = (_number(last[key]) for key in ("judged_reward_error", "open_below", "close_above"))
-    limits = (("reward_closes", error, closes), ("reward_opens", error, opens))
-    found = next((each for each in limits if each[1] > each[2]), ("no_number", None, None))
-    counts = {"closed": len(closed), "episodes": len(decisions), "episode": int(_number(last["episode"]))}
-    return weak("run.gate_closed", **counts, **dict(zip(("cause", "error", "limit"), found, strict=True)))
+    last = {key: _number(value) for key, value in closed[-1].items()}
+    counts = {"closed": len(closed), "episodes": len(decisions), "episode": int(last["episode"])}
+    limits = {key: last[key] for key in ("open_below", "close_above")}
+    return weak("run.gate_closed", **counts, error=last["judged_reward_error"], **limits)
 
 
 def _number(value: float | None) -> float:
