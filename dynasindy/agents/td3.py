@@ -17,11 +17,12 @@ Source: Fujimoto, van Hoof, Meger, "Addressing Function Approximation Error in A
 import copy
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
 import torch
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
@@ -33,14 +34,14 @@ from torchrl.objectives import SoftUpdate
 from dynasindy.agents.loss import GradientSteps, TD3Loss
 from dynasindy.agents.machine import best_steps
 from dynasindy.agents.networks import MLP, actor
-from dynasindy.limits import check_memory
+from dynasindy.limits import Positive, check_memory
 from dynasindy.systems import Diverged
 
 CHECK_EVERY = 100
 """Updates between two looks at the losses on a device that works apart from the CPU, which each look would halt."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config={"strict": True, "allow_inf_nan": False})
 class Hyperparameters:
     """Everything that can be set about the agent; the defaults are the paper's, then TD3's.
 
@@ -61,42 +62,26 @@ class Hyperparameters:
         policy_average: share of the actor that enters the deployed average per actor update;
             0 deploys the actor itself.
         machine_code: learn by machine code on one core of the CPU, if there is a C compiler.
+
+    Raises:
+        ValueError: a value lies outside its range.
     """
 
     hidden: Sequence[int] = (400, 300)
-    actor_lr: float = 1e-4
-    critic_lr: float = 1e-4
-    gamma: float = 0.995
-    tau: float = 0.005
-    policy_delay: int = 2
-    target_update_interval: int = 10
-    policy_noise: float = 0.2
-    noise_clip: float = 0.5
+    actor_lr: Annotated[float, Field(gt=0)] = 1e-4
+    critic_lr: Annotated[float, Field(gt=0)] = 1e-4
+    gamma: Annotated[float, Field(gt=0, le=1)] = 0.995
+    tau: Annotated[float, Field(gt=0, le=1)] = 0.005
+    policy_delay: Positive = 2
+    target_update_interval: Positive = 10
+    policy_noise: Annotated[float, Field(ge=0)] = 0.2
+    noise_clip: Annotated[float, Field(ge=0)] = 0.5
     exploration_noise: float = 0.15
     noise_decay: float = 1e-3
     noise_min: float = 0.0
-    critics: Annotated[int, range(2, 101), "the limit is arbitrary"] = 2
-    policy_average: float = 0.0
+    critics: Annotated[int, Field(ge=2, le=100)] = 2  # the upper limit is arbitrary
+    policy_average: Annotated[float, Field(ge=0, lt=1)] = 0.0
     machine_code: bool = True
-
-    def __post_init__(self) -> None:
-        """Check every range.
-
-        Raises:
-            ValueError: a value lies outside its range.
-        """
-        whole = ("policy_delay", "target_update_interval", "critics")
-        allowed = {
-            **dict.fromkeys(("actor_lr", "critic_lr", *whole[:2]), (lambda v: v > 0, "> 0")),
-            **dict.fromkeys(("gamma", "tau"), (lambda v: 0 < v <= 1, "in (0, 1]")),
-            **dict.fromkeys(("policy_noise", "noise_clip"), (lambda v: v >= 0, ">= 0")),
-            "policy_average": (lambda v: 0 <= v < 1, "in [0, 1)"),
-            "critics": (lambda v: v > 1, "> 1: the target takes the smallest of them"),
-        }
-        for name, (fits, words) in allowed.items():
-            value, kind = getattr(self, name), int if name in whole else int | float
-            if not isinstance(value, kind) or not fits(value):
-                raise ValueError(f"agent.{name} is {value}; give a {'whole ' * (name in whole)}number {words}.")
 
 
 _QUIET = (ExplorationType.DETERMINISTIC, ExplorationType.MEAN, ExplorationType.MODE)
@@ -190,8 +175,7 @@ class TD3:
         **settings: fields of `Hyperparameters`.
 
     Raises:
-        TypeError: a setting does not exist.
-        ValueError: a setting lies outside its range.
+        ValueError: a setting does not exist, or lies outside its range.
     """
 
     def __init__(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import torch
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 from torch import Tensor
 
 ERROR_SHAPES: dict[str, Callable[[Tensor, float], Tensor]] = {
@@ -16,7 +18,10 @@ ERROR_SHAPES: dict[str, Callable[[Tensor, float], Tensor]] = {
 """Cost of errors `(*batch, n_r)` and a width [rad], of the same shape; the last two equal e^2 / width near zero."""
 
 
-@dataclass(frozen=True)
+Weight = Annotated[float, Field(ge=0)]
+
+
+@dataclass(frozen=True, config={"allow_inf_nan": False})
 class TrackingReward:
     """reward = -(a e_a^2 + b e_p^2) - c (dOmega_a^2 + dOmega_p^2) + d   (paper, reward function).
 
@@ -39,21 +44,13 @@ class TrackingReward:
     # Departure: the paper pays d when "the error" is small; here each output earns its own d.
     # Departure: "the penalty of exceeding the bounds" is a cost per period at a mechanical stop; ending the
     # episode there instead would pay the agent for leaving.
-    error_weights: tuple[float, ...] = (4.0, 4.0)
-    rate_weight: float = 0.1
-    bonus: float = 0.1
-    tolerance: float = 0.01
-    stop_penalty: float = 1.0
-    error_shape: str = "quadratic"
-    width: float = 0.05
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "error_weights", tuple(self.error_weights))
-        numbers = (*self.error_weights, self.rate_weight, self.bonus, self.tolerance, self.stop_penalty)
-        if not all(number >= 0 for number in numbers) or not self.width > 0:
-            raise ValueError(f"weights of the reward must be >= 0 and its width > 0, got {self}; mend task.reward")
-        if self.error_shape not in ERROR_SHAPES:
-            raise ValueError(f"error_shape '{self.error_shape}' is unknown; use one of {', '.join(ERROR_SHAPES)}")
+    error_weights: tuple[Weight, ...] = (4.0, 4.0)
+    rate_weight: Weight = 0.1
+    bonus: Weight = 0.1
+    tolerance: Weight = 0.01
+    stop_penalty: Weight = 1.0
+    error_shape: Literal["quadratic", "linear", "logarithmic"] = "quadratic"
+    width: Annotated[float, Field(gt=0)] = 0.05
 
     def __call__(self, error: Tensor, rate_change: Tensor, at_stop: Tensor) -> Tensor:
         """Return the reward of one control period.
