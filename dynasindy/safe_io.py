@@ -21,6 +21,8 @@ from io import StringIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from dynasindy.limits import error_text
+
 LARGEST = 100_000_000
 """Size beyond which no file is read [bytes]; the longest log of the paper's experiment has a hundredth of it."""
 LONGEST = 200
@@ -65,7 +67,7 @@ def reading(source: Path | str) -> Iterator[None]:
     except OSError as error:
         raise DamagedFileError(f"{source} cannot be read: {error.strerror}; check what it is") from error
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, csv.Error) as error:
-        raise _damaged(source, " ".join(str(error).split())) from error
+        raise _damaged(source, " ".join(error_text(error).split())) from error
 
 
 def _damaged(source: Path | str, why: str) -> DamagedFileError:

@@ -44,7 +44,7 @@ from omegaconf.errors import OmegaConfBaseException
 from words import read_words, taken_from, unknown_name
 
 import dynasindy
-from dynasindy.limits import is_memory_error, memory_wanted
+from dynasindy.limits import error_text, is_memory_error, memory_wanted
 from dynasindy.progress import LOADING, Progress, fit_stderr, report_progress, say
 from dynasindy.safe_io import LinkError, write_text
 from dynasindy.sentences import use_command_words
@@ -296,7 +296,7 @@ def in_words(error: BaseException, settings: object = None) -> str:
         error = error.__cause__
     if isinstance(error, BrokenPipeError):
         raise error
-    words = str(error).strip("'\"") if isinstance(error, KeyError) else str(error)
+    words = str(error).strip("'\"") if isinstance(error, KeyError) else error_text(error)
     text = " ".join(words.split()).partition(" Config search path:")[0]
     text = re.sub(r'^\[Errno -?\d+\] |(?<=in )"|"(?=, line )', "", text)  # in "my.yaml", line 2
     if place := _changed_dtype() or of_user(error):

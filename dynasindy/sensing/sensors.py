@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated
 
 import torch
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 from torch import Tensor
 
 from dynasindy.systems import Signature
 
 LONGEST = 10
 """Longest delay [control periods]."""
-Periods = Annotated[int, range(LONGEST + 1), "control periods"]
+Periods = Annotated[int, Field(ge=0, le=LONGEST)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config={"allow_inf_nan": False, "extra": "forbid"})
 class Channel:
     """One measured state.
 
@@ -29,15 +31,8 @@ class Channel:
         ValueError: A number is negative or not finite.
     """
 
-    resolution: float = 0.0
-    noise: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not (0 <= self.resolution < math.inf and 0 <= self.noise < math.inf):
-            raise ValueError(
-                f"a sensor has resolution={self.resolution}, noise={self.noise}; give finite numbers >= 0 in the unit "
-                "of its state"
-            )
+    resolution: Annotated[float, Field(ge=0)] = 0.0
+    noise: Annotated[float, Field(ge=0)] = 0.0
 
     @property
     def variance(self) -> float:
@@ -66,7 +61,7 @@ class Sensors:
     channels: Mapping[str, Channel | Mapping[str, float]] | None
     rates: Mapping[str, str] | None = None
     delay: Periods = 0
-    lost: float = 0.0
+    lost: Annotated[float, Field(ge=0, lt=1)] = 0.0
     actuator_delay: Periods = 0
     disturbance: bool = False
 
@@ -76,12 +71,8 @@ class Sensors:
                 "sensors.channels is empty; name the measured states, such as {theta: {resolution: 0.0015}}, or give "
                 "them as plant.sensors in the file of the system"
             )
-        object.__setattr__(self, "channels", {name: _channel(name, given) for name, given in self.channels.items()})
-        if not (0 <= self.delay <= LONGEST and 0 <= self.actuator_delay <= LONGEST and 0 <= self.lost < 1):
-            raise ValueError(
-                f"sensors have delay={self.delay}, actuator_delay={self.actuator_delay}, lost={self.lost}; give delays "
-                f"of 0 to {LONGEST} control periods and a probability in [0, 1)"
-            )
+        made = {name: each if isinstance(each, Channel) else Channel(**each) for name, each in self.channels.items()}
+        object.__setattr__(self, "channels", made)
 
     def variance(self, signature: Signature) -> Tensor:
         """Return the variance of each state's measurement, `(n_x,)` float64, infinite where there is none.
@@ -128,7 +119,7 @@ class Sensors:
         Args:
             std: Standard deviation of what is added, by name of a state [unit of the state]; none where not named.
         """
-        own = {name: _channel(name, given) for name, given in (self.channels or {}).items()}
+        own = {name: each for name, each in (self.channels or {}).items() if isinstance(each, Channel)}
         noise = {name: math.hypot(channel.noise, std.get(name, 0.0)) for name, channel in own.items()}
         return replace(self, channels={name: replace(own[name], noise=noise[name]) for name in own})
 
@@ -138,13 +129,5 @@ class Sensors:
         return {names.index(a): names.index(b) for a, b in (self.rates or {}).items() if a in names and b in names}
 
     def _places(self, signature: Signature) -> dict[int, Channel]:
-        given = (self.channels or {}).items()
-        return {signature.state_index(name, "sensors.channels"): _channel(name, each) for name, each in given}
-
-
-def _channel(name: str, given: object) -> Channel:
-    if isinstance(given, Channel):
-        return given
-    if not isinstance(given, Mapping) or not given.keys() <= {"resolution", "noise"}:
-        raise ValueError(f"sensors.channels.{name} is {given!r}; allowed are the keys resolution and noise: correct it")
-    return Channel(**given)
+        given = [(name, each) for name, each in (self.channels or {}).items() if isinstance(each, Channel)]
+        return {signature.state_index(name, "sensors.channels"): each for name, each in given}

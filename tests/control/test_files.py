@@ -179,7 +179,7 @@ def damaged(tmp_path, change):
             "other states",
         ),
         (lambda r: r["observer"]["state"].update(process_noise=[1.0]), "process noise"),
-        (lambda r: r["observer"]["sensors"].update(lost=2), "probability"),
+        (lambda r: r["observer"]["sensors"].update(lost=2), "lost=2"),
         (lambda r: r["task"]["stops"].update(low=[5.0]), "low < high"),
         (lambda r: r["task"]["stops"].update(low=["a"], high=["b"]), "'a'"),
         (lambda r: r["task"]["stops"].update(high=[math.inf]), "'inf'"),
