@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from importlib import resources
 from itertools import chain
 
 import torch
@@ -19,17 +18,11 @@ from torch.optim import Adam
 
 from dynasindy.agents.loss import Check, GradientSteps, TD3Loss
 from dynasindy.agents.networks import Layer
-from dynasindy.systems.compiler import find_library
+from dynasindy.systems.compiler import c_text, find_library
 
 LINE = 64
 """Bytes at whose multiples the room for a batch begins, as the widest numbers of a processor do."""
 Pointers = ctypes.POINTER(ctypes.c_void_p)
-
-
-def source(*names: str) -> str:
-    """Return the C texts of that name in this room, one after another."""
-    texts = (resources.files("dynasindy.agents").joinpath("c", name) for name in names)
-    return "\n".join(text.read_text(encoding="utf-8") for text in texts)
 
 
 def line_of(room: Tensor) -> ctypes.c_void_p:
@@ -47,7 +40,7 @@ def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, machine_code: bool = T
         machine_code: whether machine code is wanted.
     """
     if machine_code and _readable(loss, critics, actor):
-        code = find_library(source("perceptron.c", "td3.c"), "TD3 learns", fast=True)
+        code = find_library(c_text("agents", "perceptron.c", "td3.c"), "TD3 learns", fast=True)
         if code is not None:
             return _MachineSteps(code, loss, critics, actor)
     return GradientSteps(loss, critics, actor)

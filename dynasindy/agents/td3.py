@@ -76,9 +76,9 @@ class Hyperparameters:
     target_update_interval: Positive = 10
     policy_noise: Annotated[float, Field(ge=0)] = 0.2
     noise_clip: Annotated[float, Field(ge=0)] = 0.5
-    exploration_noise: float = 0.15
-    noise_decay: float = 1e-3
-    noise_min: float = 0.0
+    exploration_noise: Annotated[float, Field(ge=0)] = 0.15
+    noise_decay: Annotated[float, Field(ge=0, lt=1)] = 1e-3
+    noise_min: Annotated[float, Field(ge=0)] = 0.0
     critics: Annotated[int, Field(ge=2, le=100)] = 2  # the upper limit is arbitrary
     policy_average: Annotated[float, Field(ge=0, lt=1)] = 0.0
     machine_code: bool = True
@@ -101,24 +101,15 @@ class DecayingGaussian(TensorDictModuleBase):
         seed: seed of the noise's own generator.
 
     Raises:
-        ValueError: a value lies outside its range.
+        ValueError: `sigma` is less than `minimum`.
     """
 
     in_keys: ClassVar[list[str]] = ["action"]
     out_keys: ClassVar[list[str]] = ["action"]
 
-    def __init__(
-        self,
-        sigma: float = 0.15,
-        decay: float = 1e-3,
-        minimum: float = 0.0,
-        seed: int = 0,
-    ) -> None:
-        if not (sigma >= minimum >= 0 and 0 <= decay < 1):
-            raise ValueError(
-                f"Exploration noise has sigma={sigma}, decay={decay}, minimum={minimum}; "
-                "give agent.exploration_noise >= noise_min >= 0 and 0 <= noise_decay < 1."
-            )
+    def __init__(self, sigma: float = 0.15, decay: float = 1e-3, minimum: float = 0.0, seed: int = 0) -> None:
+        if sigma < minimum:
+            raise ValueError(f"agent.noise_min is {minimum}, above agent.exploration_noise, {sigma}; lower it")
         super().__init__()
         self.sigma, self.decay, self.minimum = float(sigma), decay, minimum
         # In the CPU's memory, so that a seed draws the same noise for every device.

@@ -113,25 +113,17 @@ class ControlEnv(EnvBase):
                 f"the system has {other.n_x} states and {other.n_u} inputs, the environment {mine.n_x} and "
                 f"{mine.n_u}; fit the model on data of this plant"
             )
-        env = ControlEnv(
-            system,
-            self.task,
-            self.dt,
-            self.substeps,
-            batch_size=tuple(self.batch_size),
-            dtype=dtype or self.float_type,
-            seed=seed,
-            delay=self.delay,
-        )
-        env.stops = self.stops  # the beam's, not the model's: a model knows nothing of them
+        env = self._around(system, self.task, dtype or self.float_type, seed, batch_size=tuple(self.batch_size))
         env.left_beyond, env.past = self.left_beyond, self.past  # the same flight goes on
         return env
 
     def with_task(self, task: Task, seed: int = 0) -> ControlEnv:
         """Return this environment with another task for the same system."""
-        substeps, delay = self.substeps, self.delay
-        env = ControlEnv(self.system, task, self.dt, substeps, dtype=self.float_type, seed=seed, delay=delay)
-        env.stops = self.stops
+        return self._around(self.system, task, self.float_type, seed)
+
+    def _around(self, system: System, task: Task, dtype: torch.dtype, seed: int, **more: Any) -> ControlEnv:
+        env = ControlEnv(system, task, self.dt, self.substeps, dtype=dtype, seed=seed, delay=self.delay, **more)
+        env.stops = self.stops  # the beam's, not the model's: a model knows nothing of them
         return env
 
     def advance(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:

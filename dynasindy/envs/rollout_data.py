@@ -57,21 +57,10 @@ def record_plant(plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Te
     Returns:
         Up to T transitions, float64.
     """
-    return record_plants(plant, u.unsqueeze(0), dt, substeps, x0)[0]
-
-
-def record_plants(
-    plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tensor | None = None
-) -> list[Transitions]:
-    """Record several experiments side by side, `u` `(experiments, T, n_u)`; otherwise as `record_plant`."""
-    u = u.to(torch.float64)
     x = torch.zeros(plant.signature.n_x, dtype=torch.float64) if x0 is None else x0.to(torch.float64)
-    start = x.expand(len(u), -1)
     with torch.no_grad():
-        samples, touched = simulate(plant, start, u.movedim(1, 0), dt, substeps, plant.stops)
-    states = torch.cat([start.unsqueeze(1), samples[..., -1, :].movedim(0, 1)], 1)
-    whole = zip(states, u, ~touched.mT, strict=True)
-    return [Transitions.from_trajectory(x, held, dt).select(mask) for x, held, mask in whole]
+        samples, touched = simulate(plant, x, u := u.to(torch.float64), dt, substeps, plant.stops)
+    return Transitions.from_trajectory(torch.cat([x.unsqueeze(0), samples[..., -1, :]]), u, dt).select(~touched)
 
 
 def disturb(

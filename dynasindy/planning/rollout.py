@@ -27,17 +27,16 @@ import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib import resources
 
 import torch
 from torch import Tensor
 
-from dynasindy.agents.machine import LINE, line_of, network_pointers, source
+from dynasindy.agents.machine import LINE, line_of, network_pointers
 from dynasindy.agents.networks import MLP, Layer
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.randomization import InputStrength
 from dynasindy.systems import integrate
-from dynasindy.systems.compiler import find_library
+from dynasindy.systems.compiler import addresses, c_text, find_library
 from dynasindy.systems.machine import Machine
 from dynasindy.tasks import Task
 
@@ -272,8 +271,8 @@ def _adjoint(a: Tensor, b: Tensor, cost: Tensor, effort: Tensor | None, late: Te
 @cache
 def _library() -> ctypes.CDLL | None:
     """Return the code of windows, None where there is none, which is tried once."""
-    own = resources.files("dynasindy.planning").joinpath("c", "rollout.c").read_text(encoding="utf-8")
-    code = find_library(source("perceptron.c") + own, "windows are imagined", fast=True)
+    own = c_text("agents", "perceptron.c") + c_text("planning", "rollout.c")
+    code = find_library(own, "windows are imagined", fast=True)
     if code is not None:
         code.layers_size.restype = code.room_size.restype = ctypes.c_long
     return code
@@ -314,7 +313,7 @@ class _MachineRollout:
         read = [None if each is None else _floats(each) for each in ((moved - still).T, rows.late, rest, *strength)]
         jump = 0 if rest is None or len(rest) == 1 else self.rows * code.n_u
         call = code.advance_arguments(env.dt, env.substeps, env.stops)
-        self._rollout = _Rollout(steps, self.rows, jump, n_x, code.n_u, n_o, *call, *map(_at, read))
+        self._rollout = _Rollout(steps, self.rows, jump, n_x, code.n_u, n_o, *call, *addresses(*read))
         self._held = code, call, read, self._layers  # what the code points to
         self._size = self._code.layers_size(ctypes.byref(self._policy), ctypes.c_long(self.rows))
         self._room = torch.empty(self._code.room_size(*self._arguments()) + LINE // 4)
@@ -331,15 +330,16 @@ class _MachineRollout:
         touched = torch.empty(self.rows, dtype=torch.bool)
         held, free = _floats(held), _floats(free)
         self._kept = torch.empty(self._size * (self.periods if keep else 1) + LINE // 4)
-        window = map(_at, (held, free, states, applied, actions))
-        self._code.imagine(*self._arguments(), *window, *self._layers_at(keep), line_of(self._room), _at(touched))
+        window = addresses(held, free, states, applied, actions)
+        room = line_of(self._room), *addresses(touched)
+        self._code.imagine(*self._arguments(), *window, *self._layers_at(keep), *room)
         return states, applied, actions
 
     def adjoint(self, a: Tensor, b: Tensor, cost: Tensor, effort: Tensor | None) -> None:
         """Add the gradient of the cost of the last window to the policy's parameters; arguments as of `_adjoint`."""
         gradients = network_pointers([Layer(*map(_gradient, layer)) for layer in self.policy.layers()])
         given = [None if each is None else _floats(each) for each in (a, b, cost, effort)]
-        slopes = ctypes.byref(gradients), *map(_at, given)
+        slopes = ctypes.byref(gradients), *addresses(*given)
         self._code.adjoint(*self._arguments(), *slopes, *self._layers_at(True), line_of(self._room))
 
     def _arguments(self) -> tuple[object, ...]:
@@ -357,10 +357,6 @@ class _Rollout(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("advance", "constants", "position", "rate", "low", "high", "room")),
         *((name, ctypes.c_void_p) for name in ("slope", "late", "rest", "factor", "limits")),
     )
-
-
-def _at(tensor: Tensor | None) -> ctypes.c_void_p | None:
-    return None if tensor is None else ctypes.c_void_p(tensor.data_ptr())
 
 
 def _gradient(parameter: Tensor) -> Tensor:

@@ -14,7 +14,10 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
+from importlib import resources
 from pathlib import Path
+
+from torch import Tensor
 
 from dynasindy.safe_io import write_bytes
 
@@ -104,6 +107,17 @@ def load_library(source: str, *, fast: bool) -> ctypes.CDLL:
                 for old in kept[KEPT:]:
                     old.unlink(missing_ok=True)
     return code
+
+
+def c_text(room: str, *names: str) -> str:
+    """Return the C texts of a room of the package, one after another."""
+    texts = (resources.files(f"dynasindy.{room}").joinpath("c", name) for name in names)
+    return "\n".join(text.read_text(encoding="utf-8") for text in texts)
+
+
+def addresses(*tensors: Tensor | None) -> list[ctypes.c_void_p | None]:
+    """Return where tensors lie, as C reads it; nowhere for None."""
+    return [None if tensor is None else ctypes.c_void_p(tensor.data_ptr()) for tensor in tensors]
 
 
 def find_library(source: str, without: str, *, fast: bool) -> ctypes.CDLL | None:

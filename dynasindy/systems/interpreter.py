@@ -11,13 +11,12 @@ import ctypes
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
-from importlib import resources
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from dynasindy.systems.compiler import load_library
+from dynasindy.systems.compiler import addresses, c_text, load_library
 from dynasindy.systems.machine import Program
 from dynasindy.systems.steps import Steps, steps_of
 from dynasindy.systems.tangents import FORMULA_FUNCTIONS, Tangents, parsed
@@ -139,12 +138,8 @@ def _simulated(
         *(int(steps.difference), *whole, ends, slopes if columns else None, room, *correction),
         *(fitted.shape[1], fitted.int()),
     ]
-    _library().simulate(*(_data(part) if part is None or torch.is_tensor(part) else part for part in arguments))
+    _library().simulate(*(addresses(part)[0] if torch.is_tensor(part) else part for part in arguments))
     return ends, slopes
-
-
-def _data(tensor: Tensor | None) -> ctypes.c_void_p:
-    return ctypes.c_void_p(None if tensor is None else tensor.data_ptr())
 
 
 def _summed(xi: Tensor, slopes: Tensor, width: int) -> tuple[tuple[Tensor, Tensor], Tensor]:
@@ -161,7 +156,7 @@ def _summed(xi: Tensor, slopes: Tensor, width: int) -> tuple[tuple[Tensor, Tenso
 
 @cache
 def _library() -> ctypes.CDLL:
-    text = resources.files("dynasindy.systems").joinpath("c", "interpreter.c").read_text(encoding="utf-8")
+    text = c_text("systems", "interpreter.c")
     return load_library(text.replace("@width@", str(WIDTH)), fast=True)
 
 

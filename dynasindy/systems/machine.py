@@ -12,14 +12,13 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib import resources
 from itertools import chain
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from dynasindy.systems.compiler import load_library
+from dynasindy.systems.compiler import addresses, c_text, load_library
 from dynasindy.systems.steps import Stops, steps_of
 from dynasindy.systems.tangents import Tangents
 
@@ -155,8 +154,8 @@ class Machine:
         ends, n_stops = self._in_memory(stops or FREE), len((stops or FREE).positions)
         periods, rows = ctypes.c_long(len(u)), ctypes.c_long(x.shape[:-1].numel())
         room = x.new_empty(self._size)
-        read = *_data(x, u), self._constants, self._real(length), int(count), n_stops, *ends
-        arguments = periods, rows, *read, *_data(samples, touched, room)
+        read = *addresses(x, u), self._constants, self._real(length), int(count), n_stops, *ends
+        arguments = periods, rows, *read, *addresses(samples, touched, room)
 
         held = x, u, samples, touched, room  # the code knows only where they lie
 
@@ -180,7 +179,7 @@ class Machine:
         length, count, _ = steps_of(self.step, dt, substeps)
         places = (self._code.advance, self._constants, *self._in_memory(stops))
         read = (ctypes.cast(each, ctypes.c_void_p) for each in places)
-        return int(count), len(stops.positions), length, *read, *_data(self._room)
+        return int(count), len(stops.positions), length, *read, *addresses(self._room)
 
     def sensitivities(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
         """Return dx_next/dx, `(*batch, n_x, n_x)`, and dx_next/du, `(*batch, n_x, n_u)`, of a period without stops.
@@ -199,7 +198,7 @@ class Machine:
         a, b = x.new_empty(*x.shape, self.n_x), x.new_empty(*x.shape, self.n_u)
         rows, h = ctypes.c_long(x.numel() // self.n_x), self._real(length)
         room = x.new_empty(self._size)
-        self._code.sensitivities(rows, *_data(x, u), self._constants, h, int(count), *_data(a, b, room))
+        self._code.sensitivities(rows, *addresses(x, u), self._constants, h, int(count), *addresses(a, b, room))
         return a, b
 
     def _in_memory(self, stops: Stops) -> tuple[Any, ...]:
@@ -248,7 +247,7 @@ def _source(program: Program, width: int, single: bool) -> str:
         "slope_rows": ", ".join(str(i) for i, _, _ in entries),
         "slope_columns": ", ".join(str(column) for _, column, _ in entries),
     }
-    text = resources.files("dynasindy.systems").joinpath("c", "period.c").read_text(encoding="utf-8")
+    text = c_text("systems", "period.c")
     return re.sub(r"@(\w+)@", lambda gap: str(words[gap[1]]), text)
 
 
@@ -262,7 +261,3 @@ def _in_c(text: str, single: bool) -> str:
     if single:
         text = _CALLED.sub(lambda call: f"{SINGLE[call[1]]}(", text)
     return _FRACTION.sub(r"(real)\1", _STATE.sub(r"\1[\2 * W + r]", text))
-
-
-def _data(*tensors: Tensor) -> list[ctypes.c_void_p]:
-    return [ctypes.c_void_p(tensor.data_ptr()) for tensor in tensors]

@@ -6,13 +6,12 @@ import ctypes
 import re
 from collections.abc import Callable, Sequence
 from functools import cache
-from importlib import resources
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from dynasindy.systems.compiler import find_library
+from dynasindy.systems.compiler import addresses, c_text, find_library
 from dynasindy.tasks.base import Task
 from dynasindy.tasks.references import N_PARAMS
 from dynasindy.tasks.reward import ERROR_SHAPES, TrackingReward
@@ -95,7 +94,10 @@ class TrackingMachine:
                 earned, the rewards, `(*batch,)`, are written to.
         """
         rows, stride = ctypes.c_long(steps.numel()), following.stride(-2) if following.dim() > 1 else 0
-        read, written = _at(x, following), _at(params, steps, touched, *results, *[None] * (3 - len(results)))
+        read, written = (
+            addresses(x, following),
+            addresses(params, steps, touched, *results, *[None] * (3 - len(results))),
+        )
         arguments = ctypes.byref(self._task), rows, *read, ctypes.c_long(stride), *written
         held = self, x, following, params, steps, touched, results  # the code knows only where they lie
 
@@ -115,12 +117,8 @@ def tracking_machine(task: Task, dt: float, dtype: torch.dtype) -> TrackingMachi
 
 @cache
 def _library(dtype: torch.dtype) -> ctypes.CDLL | None:
-    text = resources.files("dynasindy.tasks").joinpath("c", "tracking.c").read_text(encoding="utf-8")
+    text = c_text("tasks", "tracking.c")
     single = dtype == torch.float32
     words = {"real": "float" if single else "double"}
     text = re.sub(r"@(\w+)@", lambda gap: words.get(gap[1], gap[1] + "f" * single), text)
     return find_library(text, "a tracking task is judged", fast=False)
-
-
-def _at(*tensors: Tensor | None) -> list[ctypes.c_void_p | None]:
-    return [None if tensor is None else ctypes.c_void_p(tensor.data_ptr()) for tensor in tensors]

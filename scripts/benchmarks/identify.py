@@ -27,7 +27,7 @@ from benchmarks.pysindy_regression import (
     stlsq,
     weak_rows,
 )
-from dynasindy.envs.rollout_data import disturb, record_plant, record_plants
+from dynasindy.envs.rollout_data import disturb, record_plant
 from dynasindy.excitation import Aprbs, Chirp, Excitation
 from dynasindy.safe_io import Row, read_rows, write_rows
 from dynasindy.sindy import Refinement, Regression, SindyModel
@@ -89,9 +89,9 @@ def true_table() -> Tensor:
 
 
 def xi_recordings(seconds: float, dt: float, seeds: Iterable[int]) -> list[Transitions]:
-    """Record the plant `xi` under random steps held for 0.5 s, around hover, for several seeds side by side."""
+    """Record the plant `xi` under random steps held for 0.5 s, around hover, for several seeds."""
     signals = [Aprbs(2, seconds, amplitude=(0.6, 0.45), offset=HOVER, seed=seed) for seed in seeds]
-    return record_plants(Xi(), torch.stack([signal.samples(dt) for signal in signals]), dt, round(dt / 0.001))
+    return [record_plant(Xi(), signal.samples(dt), dt, round(dt / 0.001)) for signal in signals]
 
 
 def noise_free(seconds: float, dt: float, goal: float, seeds: int) -> list[Row]:
@@ -263,8 +263,8 @@ class Experiment:
     def clean(self, seeds: int) -> list[Transitions]:
         """Record the plant without noise, once for each seed."""
         signals = [Aprbs(1, self.seconds, self.dt, hold=self.hold, amplitude=1.0, seed=k) for k in range(seeds)]
-        u = torch.stack([signal.samples(self.dt) for signal in signals])
-        return record_plants(self.plant, u, self.dt, round(self.dt / 0.001), torch.tensor(self.start))
+        steps, start = round(self.dt / 0.001), torch.tensor(self.start)
+        return [record_plant(self.plant, signal.samples(self.dt), self.dt, steps, start) for signal in signals]
 
     def truth(self) -> Tensor:
         """Return the plant's coefficients in the library, `(n_features, n_x)`, read off its rates."""

@@ -12,7 +12,6 @@ from dynasindy.envs.rollout_data import (
     disturb,
     measurements_and_inputs,
     record_plant,
-    record_plants,
     transitions,
 )
 from dynasindy.systems import Tras, rk4
@@ -90,16 +89,6 @@ def test_noise_is_its_seeds_numbers_times_the_spread_of_each_state():
     torch.testing.assert_close(noisy.x[0], clean.x[0] + 0.2 * spread * first[0])
     torch.testing.assert_close(noisy.x[1:], clean.x[1:] + 0.2 * spread * after[:-1])
     assert torch.equal(noisy.u, clean.u)
-
-
-def test_experiments_side_by_side_are_those_one_after_the_other():
-    u = torch.stack([torch.full((30, 1), level) for level in (0.1, 1.0)])
-    plant = Oscillator(Stops((0,), (1,), (-0.5,), (0.5,)))
-    together = record_plants(plant, u, 0.05, 3)
-    for one, each in zip(together, u, strict=True):
-        alone = record_plant(plant, each, 0.05, 3)
-        assert torch.allclose(one.x_next, alone.x_next, atol=1e-12) and torch.equal(one.segment, alone.segment)
-    assert len(together[1]) < len(together[0]) == 30
 
 
 def rollout(u, steps):
