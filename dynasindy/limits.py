@@ -8,7 +8,7 @@ import re
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 if TYPE_CHECKING:
     import torch
@@ -17,15 +17,6 @@ Count = Annotated[int, Field(ge=0, le=1_000_000)]
 """A number of repetitions; the limit is arbitrary, but more would hardly end."""
 Positive = Annotated[int, Field(ge=1, le=1_000_000)]
 """The same, of at least one."""
-
-
-def error_text(error: BaseException) -> str:
-    """Return what an error says; of an argument beyond the range of its annotation, which one and what is allowed."""
-    if not isinstance(error, ValidationError):
-        return str(error)
-    first = error.errors()[0]
-    place, told = ".".join(map(str, first["loc"])), first["msg"].removeprefix("Value error, ")
-    return f"{error.title} has {place}={str(first['input'])[:40]}; {told}: correct it" if place else told
 
 
 def memory() -> float:

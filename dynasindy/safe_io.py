@@ -21,7 +21,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from dynasindy.limits import error_text
+from pydantic import ValidationError
 
 LARGEST = 100_000_000
 """Size beyond which no file is read [bytes]; the longest log of the paper's experiment has a hundredth of it."""
@@ -68,6 +68,15 @@ def reading(source: Path | str) -> Iterator[None]:
         raise DamagedFileError(f"{source} cannot be read: {error.strerror}; check what it is") from error
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, csv.Error) as error:
         raise _damaged(source, " ".join(error_text(error).split())) from error
+
+
+def error_text(error: BaseException) -> str:
+    """Return what an error says; of an argument beyond the range of its annotation, which one and what is allowed."""
+    if not isinstance(error, ValidationError):
+        return str(error)
+    first = error.errors()[0]
+    place, told = ".".join(map(str, first["loc"])), first["msg"].removeprefix("Value error, ")
+    return f"{error.title} has {place}={str(first['input'])[:40]}; {told}: correct it" if place else told
 
 
 def _damaged(source: Path | str, why: str) -> DamagedFileError:

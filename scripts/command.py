@@ -44,9 +44,9 @@ from omegaconf.errors import OmegaConfBaseException
 from words import read_words, taken_from, unknown_name
 
 import dynasindy
-from dynasindy.limits import error_text, is_memory_error, memory_wanted
+from dynasindy.limits import is_memory_error, memory_wanted
 from dynasindy.progress import LOADING, Progress, fit_stderr, report_progress, say
-from dynasindy.safe_io import LinkError, write_text
+from dynasindy.safe_io import LinkError, error_text, write_text
 from dynasindy.sentences import use_command_words
 
 PACKAGE = Path(dynasindy.__file__).parent
