@@ -9,13 +9,14 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
+from pydantic import Field, validate_call
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import _make_compatible_policy
 
-from dynasindy.limits import Count, check_memory
+from dynasindy.limits import Positive, check_memory
 from dynasindy.systems import System, integrate, repeat_steps, simulate
 from dynasindy.systems.checks import rates, require_plant, shapes
 from dynasindy.systems.integrators import plain
@@ -51,33 +52,27 @@ class ControlEnv(EnvBase):
             are zero. In a sample within which the input changes, its mean acts, as a model with a delay is fitted.
 
     Raises:
-        ValueError: dt or substeps is not positive, the delay is negative, an episode does not fit into memory, or the
-            system does not give one rate of change per state.
+        ValueError: An episode does not fit into memory, or the system does not give one rate of change per state.
     """
 
     batch_locked = False
     left_beyond = math.inf
     """Ranges of a state at whose end an episode is over and stays; a model is asked about where it runs away."""
 
+    @validate_call(config={"arbitrary_types_allowed": True})
     def __init__(
         self,
         system: System,
         task: Task,
-        dt: Annotated[float, range(100_001), "seconds; a plant is hardly controlled once a day"] = 0.05,
-        substeps: Count = 5,
+        dt: Annotated[float, Field(gt=0, le=1e5)] = 0.05,  # seconds; a plant is hardly controlled once a day
+        substeps: Positive = 5,
         *,
         batch_size: tuple[int, ...] = (),
         dtype: torch.dtype | Literal["float32", "float64"] = torch.float32,
         seed: int = 0,
-        delay: float = 0.0,
+        delay: Annotated[float, Field(ge=0)] = 0.0,
     ) -> None:
         dtype = getattr(torch, dtype) if isinstance(dtype, str) else dtype
-        if not dt > 0 or substeps < 1:
-            raise ValueError(
-                f"need dt > 0 s and substeps >= 1, got dt={dt}, substeps={substeps}; mend env, the paper has 0.05 s"
-            )
-        if not delay >= 0:
-            raise ValueError(f"env.delay is {delay} s; allowed is 0 or more")
         check_memory(
             task.max_steps * substeps * system.signature.n_x * 2.0 * dtype.itemsize,
             f"an episode of {task.max_steps:.4g} periods (task.max_steps) with {substeps} samples each (env.substeps)",

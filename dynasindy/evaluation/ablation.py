@@ -11,13 +11,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pandas as pd
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
 from dynasindy.evaluation.statistics import OVER_SEEDS, markdown, over_seeds, overrides
+from dynasindy.limits import Positive
 from dynasindy.safe_io import DamagedFileError, read_cells, read_json, reading, write_text
 
 KEY = ["system", "experiment", "setting"]
@@ -44,18 +46,11 @@ class Level:
         error: Mean absolute steady-state error over the references of the scenario, on every axis [rad].
         consecutive: Evaluations in a row that hold it; the last of them is when it counts as reached.
         share: The same error of a plant whose outputs are not all in rad, as a share of the target range.
-
-    Raises:
-        ValueError: `error`, `consecutive` or `share` is not positive.
     """
 
-    error: float = 0.05
-    consecutive: int = 3
-    share: float = 0.05
-
-    def __post_init__(self) -> None:
-        if not self.error > 0 or self.consecutive < 1 or not self.share > 0:
-            raise ValueError(f"a level needs numbers > 0; its error, consecutive and share are {self}")
+    error: Annotated[float, Field(gt=0)] = 0.05
+    consecutive: Positive = 3
+    share: Annotated[float, Field(gt=0)] = 0.05
 
     def reached(self, errors: Sequence[float], shares: bool = False) -> int | None:
         """Return the place in `errors` at which the level is reached, or None.
