@@ -5,9 +5,10 @@ agent needs every batch to hold the share it was told, from the first batch befo
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from pydantic import Field, validate_call
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
@@ -53,20 +54,6 @@ SUSPECTS: tuple[tuple[NestedKey, str, NestedKey, str], ...] = (
 """What may go wrong within a control period, in the order of cause and effect: the number, what it follows from."""
 
 
-def is_finite_rollout(rollout: TensorDictBase) -> bool:
-    """Return whether all that may go wrong in a rollout of any batch is finite."""
-    return not any(bool(bad.any()) for bad in _non_finite(rollout).values())
-
-
-def _non_finite(rows: TensorDictBase) -> dict[NestedKey, Tensor]:
-    """Return which numbers of each key are not finite; of what sensors measure, NaN says that nothing was measured."""
-    present, found = set(rows.keys(include_nested=True, leaves_only=True)), dict[NestedKey, Tensor]()
-    for key in (key for key, *_ in SUSPECTS if key in present):
-        measured = key == ("next", "samples") and "measurement" in present
-        found[key] = rows.get(key).isinf() if measured else ~rows.get(key).isfinite()
-    return found
-
-
 def require_finite_rollout(rows: TensorDictBase, where: str = "plant") -> None:
     """Refuse a rollout on the plant that holds a number that is not finite.
 
@@ -77,7 +64,10 @@ def require_finite_rollout(rows: TensorDictBase, where: str = "plant") -> None:
     Raises:
         Diverged: A number is not finite; the first one is told, with the state, the input and the period.
     """
-    bad = {key: found.flatten(1).any(-1) for key, found in _non_finite(rows).items()}
+    present, bad = set(rows.keys(include_nested=True, leaves_only=True)), dict[NestedKey, Tensor]()
+    for key in (key for key, *_ in SUSPECTS if key in present):
+        measured = key == ("next", "samples") and "measurement" in present  # NaN says that nothing was measured
+        bad[key] = (rows.get(key).isinf() if measured else ~rows.get(key).isfinite()).flatten(1).any(-1)
     first = min((int(found.int().argmax()) for found in bad.values() if bool(found.any())), default=None)
     if first is None:
         return
@@ -94,6 +84,9 @@ def _numbers(values: Tensor) -> str:
 
 def _name(key: NestedKey) -> str:
     return key if isinstance(key, str) else key[-1]
+
+
+Rows = Annotated[int, Field(ge=1)]
 
 
 class _Writer(TensorDictRoundRobinWriter):
@@ -128,32 +121,25 @@ class DynaReplay:
         ValueError: a size is not positive, or `real_ratio` is not allowed.
     """
 
+    @validate_call(config={"arbitrary_types_allowed": True})
     def __init__(
         self,
-        capacity: int,
-        batch_size: int,
-        real_ratio: float | None = 0.5,
+        capacity: Rows,
+        batch_size: Rows,
+        real_ratio: Annotated[float, Field(ge=0, le=1)] | None = 0.5,
         seed: int = 0,
         keys: Sequence[NestedKey] = REAL_KEYS,
-        model_capacity: int | None = None,
+        model_capacity: Rows | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
-        model_capacity = capacity if model_capacity is None else model_capacity
-        if not 1 <= batch_size <= capacity or model_capacity < 1:
-            raise ValueError(
-                f"Replay has capacity={capacity}, batch_size={batch_size}, model_capacity={model_capacity}; "
-                "give positive numbers, and a batch that the storage holds."
-            )
-        if real_ratio is not None and not 0 <= real_ratio <= 1:
-            raise ValueError(
-                f"Replay has real_ratio={real_ratio}; give a share in [0, 1], or null for a single buffer."
-            )
+        if batch_size > capacity:
+            raise ValueError(f"replay.batch_size is {batch_size}; give a batch that replay.capacity={capacity} holds")
         self.batch_size, self.real_ratio = batch_size, real_ratio
         self.device = torch.device(device)
         # In the CPU's memory, so that a seed draws the same rows on every device.
         self.generator = torch.Generator().manual_seed(seed)
         self.real, self.keys = self._buffer(capacity), tuple(keys)
-        self.model = self._buffer(model_capacity)
+        self.model = self._buffer(model_capacity or capacity)
 
     def extend_real(self, rollout: TensorDictBase) -> None:
         """Store the rows of a real rollout `(*batch, steps)`, of which only the storage's keys are kept.

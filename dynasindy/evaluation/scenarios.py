@@ -17,7 +17,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from dynasindy.agents.replay import is_finite_rollout, require_finite_rollout
+from dynasindy.agents.replay import require_finite_rollout
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise
@@ -252,7 +252,9 @@ def evaluate(
         wrapped = wrap(wrapped, calm)
         disturbing.append(wrapped)
         if sensing is not None and isinstance(wrapped, SensorNoise):  # noise is of what the observer reads
-            sensing, wrapped = sensing.noisier(wrapped.std.tolist()), wrapped.policy
+            std = dict(zip(env.system.signature.state_names, wrapped.std.tolist(), strict=True))
+            louder = sensing.sensors.noisier(std)  # than the observer knows of
+            sensing, wrapped = Sensing(sensing.env, sensing.observer, sensing.rng, louder), wrapped.policy
     state = task.initial_state(torch.Size((scenario.episodes,)), calm.rng)
     start: TensorDictBase = calm.start_from(state)
     if sensing is not None:
@@ -302,8 +304,7 @@ def _run(
         parts.append(part)
     report_progress(phase, total, total, "control periods")  # of the last step the environment tells no more
     trajectory: TensorDictBase = torch.cat(parts, -1) if len(parts) > 1 else parts[0]
-    if "measurement" in set(trajectory.keys()) or not is_finite_rollout(trajectory):
-        require_finite_rollout(trajectory.transpose(0, 1).reshape(-1), f"evaluation in scenario '{scenario.name}'")
+    require_finite_rollout(trajectory.transpose(0, 1).reshape(-1), f"evaluation in scenario '{scenario.name}'")
     return trajectory if sensing is None else unveiled(trajectory)
 
 

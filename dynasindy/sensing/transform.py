@@ -14,7 +14,6 @@ of an evaluation may read them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -50,15 +49,6 @@ class Sensing(Transform):
     def on(self, env: ControlEnv, rng: torch.Generator) -> Sensing:
         """Return the same sensors and observer for another environment of the same plant, with their own generator."""
         return Sensing(env, self.observer, rng, self.sensors)
-
-    def noisier(self, std: Sequence[float]) -> Sensing:
-        """Return the same sensors with more noise than the observer knows of.
-
-        Args:
-            std: Standard deviation of white noise that is added to the measurement of each state [unit of the state].
-        """
-        added = dict(zip(self.env.system.signature.state_names, std, strict=True))
-        return Sensing(self.env, self.observer, self.rng, self.sensors.noisier(added))
 
     def around(self, env: ControlEnv) -> TransformedEnv:
         """Return an environment seen through the same sensors and observer, its noise drawn from the same generator."""
