@@ -290,7 +290,7 @@ def locked(folder: Path, wait: bool = True) -> Iterator[None]:
         wait: Whether to wait for another process that has it.
 
     Raises:
-        BlockingIOError: Another process has it, and is not waited for.
+        ValueError: Another process has it, and is not waited for.
     """
     folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -300,7 +300,10 @@ def locked(folder: Path, wait: bool = True) -> Iterator[None]:
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            raise ValueError(f"another process works in {folder}; wait for its end, or give another folder") from None
         yield
     finally:
         os.close(descriptor)

@@ -11,8 +11,9 @@ from cli import command
 def main(cfg: Any) -> None:
     """Print the verdict, write figures and numbers, and end with 1 where the loop is not stable."""
     from dynasindy.checking import ClosedLoop, Settings, check, check_verdict
-    from dynasindy.checking.verdict import check_record, main_figures, unstable_targets
+    from dynasindy.checking.verdict import check_record, unstable_targets
     from dynasindy.export.write import read
+    from dynasindy.findings import records
     from dynasindy.progress import say
     from dynasindy.safe_io import add_to_json, output_folder, write_json
     from dynasindy.sentences import check_lines
@@ -32,7 +33,8 @@ def main(cfg: Any) -> None:
     write_json(folder / "check.json", check_record(found, findings))
     metrics = folder.parent / "metrics.json"
     if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
-        add_to_json(metrics, "check", main_figures(found, findings))
+        ends = {"low": list(settings.low), "high": list(settings.high)}
+        add_to_json(metrics, "check", {"stable": bool(found.stable.all()), "findings": records(findings), **ends})
     save_figures(draw_check(found), folder, cfg.formats)
     say("What the model predicts; the plant itself was not asked.", *check_lines(findings), f"Files: {folder}")
     if bool(unstable_targets(found).any()):

@@ -100,29 +100,6 @@ def unstable_targets(found: Check, thresholds: Thresholds | None = None) -> torc
     return ~found.stable & ~small.all(-1)
 
 
-def main_figures(found: Check, findings: Sequence[Finding]) -> dict[str, Any]:
-    """Return the main figures, as `metrics.json` of a run holds them; null stands for what is infinite.
-
-    Args:
-        found: What was looked at.
-        findings: What `check_verdict` said of it.
-    """
-    least: dict[str, dict[str, float | None]] = {}
-    for i, name in enumerate(found.loop.signature.input_names):
-        if margins := [each[i] for each in (*found.margins, *found.smooth) if each]:
-            worst = {key: min(getattr(m, key) for m in margins) for key in ("gain", "phase", "delay", "disk")}
-            worst["lower"] = max(m.lower for m in margins)
-            least[name] = _finite(worst)
-    return {
-        "stable": bool(found.stable.all()),
-        "findings": records(findings),
-        "margins": least,
-        "recovered": {" and ".join(plane.names): plane.share for plane in found.planes},
-        "low": list(found.settings.low),
-        "high": list(found.settings.high),
-    }
-
-
 def check_verdict(found: Check, thresholds: Thresholds | None = None) -> list[Finding]:
     """Return what was found, the stability first; an unstable loop has no margins and no noise.
 

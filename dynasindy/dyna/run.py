@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +67,7 @@ def run(
             checkpoints.save(place.number, {name: part.state_dict() for name, part in kept.items()})
 
     recorder.place, recorder.save = place, _save
-    with _claimed(folder):
+    with locked(folder, wait=False):
         refuse_links(folder)
         _check_settings(folder, config)
         if (metrics := result(folder, recipe.train.episodes)) is not None:
@@ -100,17 +100,6 @@ def run(
 
 FREE = ("folder:", "threads:", "device:", "results:", "resume:", "finish:", "plugins:")
 """Keys of a configuration, as its lines begin, that do not change a result."""
-
-
-@contextmanager
-def _claimed(folder: Path) -> Iterator[None]:
-    """Keep a run folder, which is made if missing, to oneself."""
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(locked(folder, wait=False))
-        except BlockingIOError:
-            raise ValueError(f"another process works in {folder}; wait for its end, or give another folder") from None
-        yield
 
 
 def _check_settings(folder: Path, settings: str) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import partial
+from typing import Annotated
 
 import torch
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 from torch import Tensor
 
 from dynasindy.dyna.excite import RegulatedExcitation, excitation_findings, excite
@@ -17,6 +19,7 @@ from dynasindy.envs.rollout_data import disturb, observed, record_plant, transit
 from dynasindy.excitation import Aprbs, Excitation
 from dynasindy.findings import Finding, note
 from dynasindy.identification.source import PERIOD, DataSource, Source
+from dynasindy.limits import Positive
 from dynasindy.sensing import Sensors
 from dynasindy.systems.base import System
 from dynasindy.systems.checks import require_plant
@@ -30,6 +33,8 @@ VALIDATION = 400
 """Control periods of the validation, where its length is not given."""
 FAR = 1000.0
 """Ranges of a state beyond which a plant has run away, where nobody says what its bounds are."""
+Seconds = Annotated[float, Field(gt=0)]
+Size = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 LONGEST = 1e8
 """Steps of a simulated plant, beyond which a recording would take days."""
 
@@ -57,31 +62,21 @@ class Simulated(DataSource):
         sensors: what is measured in training, how finely and how noisily; all states as they are if omitted.
 
     Raises:
-        ValueError: a time, the substeps or the samples are not positive, a noise is negative, or the sensors have an
-            actuator or measurements that are late.
+        ValueError: a number is out of range, or the sensors have an actuator or measurements that are late.
     """
 
-    dt: float | None = None
-    noise: float | dict[str, float] = 0.0
-    substeps: int = 10
-    validation_seconds: float | None = None
+    dt: Seconds | None = None
+    noise: Size | dict[str, Size] = 0.0
+    substeps: Positive = 10
+    validation_seconds: Seconds | None = None
     seed: int = 0
     bounds: dict[str, Ends] | None = None
     start: dict[str, Ends] | None = None
-    period: float | None = None
-    samples: int = 5
+    period: Seconds | None = None
+    samples: Positive = 5
     sensors: Sensors | None = None
 
     def __post_init__(self) -> None:
-        levels = self.noise.values() if isinstance(self.noise, Mapping) else [self.noise]
-        times = [time for time in (self.dt, self.validation_seconds, self.period) if time is not None]
-        sound = all(time > 0 for time in times) and all(0 <= level < math.inf for level in levels)
-        if not sound or self.substeps < 1 or self.samples < 1:
-            raise ValueError(
-                f"data=simulated got dt {self.dt} s, validation {self.validation_seconds} s, period {self.period} s, "
-                f"noise {self.noise}, substeps {self.substeps}, samples {self.samples}; allowed are positive times, "
-                "noise >= 0, substeps >= 1 and samples >= 1: correct them"
-            )
         if self.sensors is not None and (self.sensors.delay or self.sensors.actuator_delay):
             raise ValueError(
                 f"sensors.delay is {self.sensors.delay} and sensors.actuator_delay is {self.sensors.actuator_delay}; "

@@ -19,7 +19,6 @@ from dynasindy.checking.verdict import (
     Thresholds,
     check_record,
     check_verdict,
-    main_figures,
     unstable_targets,
 )
 from dynasindy.sentences import REMEDIES, SENTENCES, check_lines
@@ -73,7 +72,6 @@ def test_what_is_not_known_is_no_weakness_and_is_summed_up(loops):
     found = check(loops(), SMALL)
     findings = [each for each in check_verdict(found) if each.code in ("check.stability", "check.noise")]
     assert check_lines(findings)[1].startswith("?") and "not known: noise" in check_lines(findings)[-1]
-    assert [each["code"] for each in main_figures(found, findings)["findings"]] == ["check.stability", "check.noise"]
 
 
 def test_the_largest_slew_and_saturation_over_the_targets_decide(good):
@@ -171,7 +169,6 @@ def test_of_small_and_large_movements_the_lesser_margins_count(good):
         "disk_margin": True,
     }
     assert found["delay_margin"].values["value"] == pytest.approx(2.0)
-    assert main_figures(replace(good, smooth=[[large], []]), [])["margins"]["force"]["phase"] == 20.0
 
 
 def test_findings_come_first_and_what_is_infinite_is_null(loops, carts):

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from dynasindy.dyna.folder import result
-from dynasindy.dyna.run import _check_settings, _claimed, _clear
+from dynasindy.dyna.run import _check_settings, _clear
+from dynasindy.safe_io import locked
 
 
 def finished(folder, episodes=3):
@@ -55,17 +56,17 @@ def test_only_what_a_run_makes_is_cleared(tmp_path):
 
 
 HOLD = (
-    "import sys; from pathlib import Path; from dynasindy.dyna.run import _claimed\n"
-    "with _claimed(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
+    "import sys; from pathlib import Path; from dynasindy.safe_io import locked\n"
+    "with locked(Path(sys.argv[1]), wait=False): print('held', flush=True); sys.stdin.read()"
 )
 
 
 def test_two_processes_cannot_work_in_one_folder(tmp_path):
     other = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert other.stdout.readline() == b"held\n"
-    with pytest.raises(ValueError, match="works"), _claimed(tmp_path):
+    with pytest.raises(ValueError, match="works"), locked(tmp_path, wait=False):
         pass
     other.kill()  # a claim does not outlive its process, however that ends
     other.wait()
-    with _claimed(tmp_path):
+    with locked(tmp_path, wait=False):
         pass

@@ -66,8 +66,10 @@ def test_the_main_figures_join_what_the_run_has_written_and_leave_it_as_it_is(tm
     assert after == before and kept.stat().st_mtime == 1e9  # evaluations made since are none of an older run
     assert told["stable"] is True
     whole = json.loads((tmp_path / "run" / "check" / "check.json").read_text())
-    assert told["margins"] == {"force": whole["targets"][0]["margins"]["force"]}
-    assert told["recovered"] == {" and ".join(each["states"]): each["share"] for each in whole["recovery"]}
+    values = {each["code"]: each["values"] for each in told["findings"]}
+    assert values["check.disk_margin"]["value"] == whole["targets"][0]["margins"]["force"]["disk"]
+    shares = {" and ".join(each["states"]): each["share"] for each in whole["recovery"]}
+    assert values["check.recovery"]["shares"] == shares
     assert told["findings"] == whole["findings"]
     called(tmp_path, *SMALL, f"folder={tmp_path}/elsewhere", "low=[-0.2]")
     assert json.loads(kept.read_text())["check"] == told
