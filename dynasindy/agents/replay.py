@@ -73,17 +73,14 @@ def require_finite_rollout(rows: TensorDictBase, where: str = "plant") -> None:
         return
     key, what, of, mend = next(suspect for suspect in SUSPECTS if suspect[0] in bad and bool(bad[suspect[0]][first]))
     row = rows[first]
-    told = f"{what} {_numbers(row[key])}, from {_name(of)} {_numbers(row[of])} under input {_numbers(row['action'])}"
+    name = of if isinstance(of, str) else of[-1]
+    told = f"{what} {_numbers(row[key])}, from {name} {_numbers(row[of])} under input {_numbers(row['action'])}"
     raise Diverged(f"{where}: in control period {int(row['step_count']) + 1} {told}; {mend}")
 
 
 def _numbers(values: Tensor) -> str:
     """Return the last numbers along all but the last dimension, three digits each."""
     return "[" + ", ".join(f"{value:.3g}" for value in values.reshape(-1, values.shape[-1])[-1].tolist()) + "]"
-
-
-def _name(key: NestedKey) -> str:
-    return key if isinstance(key, str) else key[-1]
 
 
 Rows = Annotated[int, Field(ge=1)]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TypedDict, Unpack
+from typing import Annotated, TypedDict, Unpack
 
 import torch
+from pydantic import Field, validate_call
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
@@ -15,6 +16,7 @@ from torch import Tensor
 from dynasindy.limits import check_memory
 
 Levels = float | Sequence[float]
+Share = Annotated[float, Field(gt=0, le=1)]
 
 
 class _Common(TypedDict, total=False):
@@ -23,7 +25,7 @@ class _Common(TypedDict, total=False):
     amplitude: Levels
     offset: Levels
     seed: int
-    first: float
+    first: Share
 
 
 class Excitation(TensorDictModuleBase, ABC):
@@ -51,6 +53,7 @@ class Excitation(TensorDictModuleBase, ABC):
     amplitude: Tensor
     offset: Tensor
 
+    @validate_call
     def __init__(
         self,
         n_u: int,
@@ -59,7 +62,7 @@ class Excitation(TensorDictModuleBase, ABC):
         amplitude: Levels = 0.3,
         offset: Levels = 0.0,
         seed: int = 0,
-        first: float = 1.0,
+        first: Share = 1.0,
     ) -> None:
         super().__init__()
         self.seed, duration = seed, 200 * dt if duration is None else duration
@@ -78,11 +81,6 @@ class Excitation(TensorDictModuleBase, ABC):
                 "allowed are a half range above 0 of an input, and what stays within [-1, 1]: correct either"
             )
         self.first = float(first)
-        if not 0 < self.first <= 1:
-            raise ValueError(
-                f"excitation.first is {self.first:g}; allowed is a share of the amplitude above 0 and up to 1: give 1 "
-                "for the whole of it from the start"
-            )
 
     @property
     def n_steps(self) -> int:

@@ -15,9 +15,7 @@ characteristics are compact fits to the bench tables.
 
 from __future__ import annotations
 
-import random
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -69,29 +67,6 @@ class TrasConstants:
     drag_p: tuple[float, float] = (0.0604, 0.0504)
     thrust_a: tuple[float, float] = (0.01114, 0.02206)
     thrust_p: tuple[float, float] = (0.0735, 0.0475)
-
-    def detuned(self, spread: float, seed: int) -> TrasConstants:
-        """Return every constant times a factor of its own, uniform in [1 - spread, 1 + spread].
-
-        Args:
-            spread: Largest relative change, in [0, 1).
-            seed: Seed of the factors.
-
-        Raises:
-            ValueError: The spread is out of range.
-        """
-        if not 0 <= spread < 1:
-            raise ValueError(f"spread must be in [0, 1), got {spread}; 0.1 changes every constant by up to 10 %")
-        rng = random.Random(seed)
-
-        def _off(value: float) -> float:
-            return value * (1 + spread * rng.uniform(-1, 1))
-
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        changed: dict[str, Any] = {
-            k: tuple(map(_off, v)) if isinstance(v, tuple) else _off(v) for k, v in values.items()
-        }
-        return replace(self, **changed)
 
 
 class Tras(System):

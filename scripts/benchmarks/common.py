@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import random
 import resource
 import subprocess
 import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from torch import Tensor
 
 from dynasindy.safe_io import Row, append_rows, read_rows
 from dynasindy.systems import Signature, System
+from dynasindy.systems.tras import TrasConstants
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = Path("docs/results")
@@ -148,3 +151,15 @@ def commit() -> str:
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return f"{name}-dirty" if changed.returncode else name
+
+
+def detuned(constants: TrasConstants, spread: float, seed: int) -> TrasConstants:
+    """Return constants, each times a factor of its own, uniform in [1 - spread, 1 + spread]."""
+    rng = random.Random(seed)
+
+    def _off(value: float) -> float:
+        return value * (1 + spread * rng.uniform(-1, 1))
+
+    values = {field.name: getattr(constants, field.name) for field in fields(constants)}
+    changed: dict[str, Any] = {k: tuple(map(_off, v)) if isinstance(v, tuple) else _off(v) for k, v in values.items()}
+    return TrasConstants(**changed)

@@ -17,7 +17,7 @@ from typing import Any
 
 import torch
 
-from benchmarks.common import add_choices, add_output, add_seeds, carry_on, cpu_seconds
+from benchmarks.common import add_choices, add_output, add_seeds, carry_on, cpu_seconds, detuned
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.control.integral import IntegralAction
 from dynasindy.dyna.callback import Callback, Place
@@ -261,7 +261,9 @@ def judge(case: Case, plant: str, parts: Components, seed: int) -> Iterable[tupl
             result = evaluate(parts.plant, parts.agent.deployed, Scenario(name, wave, 1, seconds))
             yield name, "rmse", _numbers(result, result.metrics["rmse"])
         return
-    env = parts.plant.with_system(detuned(seed)) if case.detuned else parts.plant
+    env = parts.plant
+    if case.detuned:  # every constant of its own is off by up to 10 %
+        env = env.with_system(Tras(constants=detuned(TrasConstants(), 0.1, 1000 + seed)))
     policies: dict[str, Policy] = {"": parts.agent.deployed}
     if case.integral:
         policies["_integral"] = IntegralAction(parts.agent.deployed, env)
@@ -273,11 +275,6 @@ def judge(case: Case, plant: str, parts: Components, seed: int) -> Iterable[tupl
         else:
             result = evaluate(env, policy, Scenario("step", steps, 64), parts.sensing)
             yield f"step{suffix}", "mean_abs_error_last_5s", _numbers(result, result.metrics["steady_state_error"])
-
-
-def detuned(seed: int) -> Tras:
-    """Return `tras` with every constant of its own off by up to 10 %."""
-    return Tras(constants=TrasConstants().detuned(0.1, 1000 + seed))
 
 
 def _waves(random: bool = False) -> list[Wave]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from benchmarks.common import detuned
 from dynasindy.systems import System, Tras, integrate
 from dynasindy.systems.tras import TrasConstants
 
@@ -34,7 +35,7 @@ class Rig(Tras):
     """`tras` with a cable, dry friction and stronger motors."""
 
     def __init__(self) -> None:
-        manual = TrasConstants().detuned(0.1, seed=3)
+        manual = detuned(TrasConstants(), 0.1, seed=3)
         # 9660 rpm/s is what a real rig's main rotor had; drag grows with it, so that its speeds stay.
         super().__init__(constants=replace(manual, motor_a=1.3 * manual.motor_a, motor_p=9660.0))
 

@@ -1,11 +1,14 @@
 """What benchmarks share: the commit of a row, rows that a file has already, commands."""
 
+import dataclasses
 import subprocess
 
 import pytest
+import torch
 from benchmarks import common
 
 from dynasindy.safe_io import read_rows
+from dynasindy.systems.tras import TrasConstants
 
 
 @pytest.fixture
@@ -58,3 +61,12 @@ def test_a_command_that_leaves_nothing_says_why(tmp_path):
     with pytest.raises(RuntimeError, match="nowhere"):
         common.run_command("train", ["system=nowhere"], tmp_path, tmp_path / "metrics.json")
     assert not list(tmp_path.iterdir())
+
+
+def test_every_constant_is_detuned_by_a_factor_of_its_own():
+    nominal, other = TrasConstants(), common.detuned(TrasConstants(), 0.1, seed=3)
+    values = [torch.tensor(dataclasses.astuple(p)[i]).flatten() for p in (other, nominal) for i in range(18)]
+    factors = torch.cat(values[:18]) / torch.cat(values[18:])
+    assert (factors - 1).abs().max() <= 0.1 + 1e-6 and (factors - 1).abs().mean() > 0.03
+    assert factors.unique().numel() == factors.numel() == 24
+    assert other == common.detuned(nominal, 0.1, seed=3) != common.detuned(nominal, 0.1, seed=4)

@@ -70,7 +70,7 @@ def test_it_begins_at_a_share_of_its_strength_that_doubles_every_ten_periods():
     assert Chirp(1, first=0.1).growth(steps).flatten().tolist() == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.0])
     assert Chirp(1).growth(steps).flatten().tolist() == [1.0] * 5
     for share in (0.0, -0.1, 1.5, math.nan):
-        with pytest.raises(ValueError, match="share"):
+        with pytest.raises(ValueError, match="first"):
             Chirp(1, first=share)
 
 

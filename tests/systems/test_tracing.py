@@ -58,7 +58,7 @@ def test_machine_code_moves_a_plant_as_its_own_code_does(name):
 
 @needs_compiler
 def test_constants_of_its_own_are_read_and_copies_move_alike():
-    system = Tras(constants=TrasConstants().detuned(0.1, 3))
+    system = Tras(constants=TrasConstants(arm_a=0.2, friction_p=0.01, drag_a=(0.09, 0.08)))
     x, u = drawn(system, 5)
     samples = integrate(system, x, u, 0.05, 2)[0]
     free = Tras(1e9, 1e9, system.constants)

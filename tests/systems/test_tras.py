@@ -1,6 +1,5 @@
 """Oracles: the bench's top speeds and equilibria, its equations by hand, and Lagrange's equations of its beam."""
 
-import dataclasses
 import math
 
 import pytest
@@ -9,7 +8,6 @@ import torch
 from scipy.optimize import fsolve
 
 from dynasindy.systems import Tras, rk4
-from dynasindy.systems.tras import TrasConstants
 
 
 def settle(u, seconds=60):
@@ -17,15 +15,6 @@ def settle(u, seconds=60):
     for _ in range(int(seconds / 0.05)):
         x = rk4(plant, x, torch.tensor(u, dtype=torch.float64), 0.05)
     return x
-
-
-def test_every_constant_is_detuned_by_a_factor_of_its_own():
-    nominal, other = TrasConstants(), TrasConstants().detuned(0.1, seed=3)
-    values = [torch.tensor(dataclasses.astuple(p)[i]).flatten() for p in (other, nominal) for i in range(18)]
-    factors = torch.cat(values[:18]) / torch.cat(values[18:])
-    assert (factors - 1).abs().max() <= 0.1 + 1e-6 and (factors - 1).abs().mean() > 0.03
-    assert factors.unique().numel() == factors.numel() == 24
-    assert other == nominal.detuned(0.1, seed=3) != nominal.detuned(0.1, seed=4)
 
 
 # States away from rest, with both senses of both rotors: every term of every equation counts at each of them.
