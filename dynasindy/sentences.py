@@ -319,19 +319,16 @@ def _percent(share: float) -> str:
 # --- what a controller will do ---------------------------------------------------------------------------------------
 
 
-def _period(seconds: float, cause: str, value: float, ahead: int) -> str:
-    swings = f"the model's fastest oscillation of {value:.3g} s"
-    doubles = f"the {value:.3g} s in which a deviation of the unstable model doubles"
-    causes = {
-        "step": "the step of the model",
-        "oscillation": f"a fifth of {swings}",
-        "doubling": f"a quarter of {doubles}",
-        "sample_oscillation": f"one sample of the log, because of {swings}",
-        "sample_doubling": f"one sample of the log, because of {doubles}",
-        "settles": f"as the model settles in {format_duration(value, digits=2)}, with a plan {ahead} periods long",
-        "samples": "ten samples of the log",
-    }
-    return f"the control period is {seconds:g} s, {causes[cause]}; <env.dt> chooses another one"
+PERIODS = {
+    "step": "the step of the model",
+    "oscillation": "a fifth of {value:.3g} s, the model's fastest oscillation",
+    "doubling": "a quarter of {value:.3g} s, in which a deviation of the unstable model doubles",
+    "sample_oscillation": "one sample of the log, because of {value:.3g} s, the model's fastest oscillation",
+    "sample_doubling": "one sample of the log, because of {value:.3g} s, in which a deviation of the model doubles",
+    "settles": "as the model settles in {value:time}, with a plan {ahead} periods long",
+    "samples": "ten samples of the log",
+}
+"""Why a control period is as long as it is."""
 
 
 # --- the check of a controller ---------------------------------------------------------------------------------------
@@ -519,10 +516,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "themselves in the median, and that of {least}, the least of all, within {worst:.2g} % (standard errors)",
     "fit.unscaled": "no sensor sees {states:and}, and nothing tells its unit: in any other one the model predicts the "
     "same. It is about that of the first guess",
-    "fit.trajectories": lambda unmeasured: (
-        "the fit compares whole simulations with the log and not single steps, as "
-        + (f"the log has no samples of {', '.join(unmeasured)}" if unmeasured else "sensors seem to be noisy")
-    ),
+    "fit.trajectories": "the fit compares whole simulations with the log and not single steps, as sensors seem to be "
+    "noisy{unmeasured:?or to lack states}",
     "fit.single_steps": "the fit predicts each sample from the one before, as errors do not look like noise of sensors",
     "fit.dropped": "the refinement dropped every function, so the fit before it stays; log longer or cleaner data",
     "fit.chosen_on": "functions were chosen on {rows} of {total} rows, in {stretches} stretches, then all were fitted",
@@ -543,19 +538,12 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "data that the fit had not seen: {what}",
     "fit.behind": "{state} up to {seconds:time} ahead was predicted {factor:.3g} times as well by the best simple "
     "model, of past samples (ARX) or the last value held, in data kept back",
-    "fit.budget": lambda seconds, stopped: (
-        f"the search {'was stopped' if stopped else 'used up its time'} after {seconds:.0f} s of computing; the best "
-        "model until then was kept"
-        + ("" if stopped else f". For a longer one give {setting('world_model.refinement.seconds')} more")
-    ),
+    "fit.budget": "the search ended after {seconds:.0f} s of computing{stopped:?(it was stopped)}; the best model "
+    "until then was kept. For a longer one give more <world_model.refinement.seconds>",
     # the model
     "model.delay": "the inputs act {seconds:time} late",
     "model.dry_friction": "{state}' has dry friction",
-    "model.lag_state": lambda signal, seconds, is_input, state: (
-        f"{signal} acts through a lag of {seconds:.3g} s: the state {state}, which no sensor sees"
-        if is_input
-        else f"{state}, which no sensor sees, follows {signal} with a time constant of {seconds:.3g} s"
-    ),
+    "model.lag_state": "{state}, seen by no sensor, follows {signal} with a time constant of {seconds:.3g} s",
     "model.idle_state": "{states:and} stand in no equation; what no sensor sees needs a first guess of the equations, "
     "as in {initial:plant.initial}, with numbers of your plant",
     "model.predicts": lambda seconds, exact: (
@@ -621,7 +609,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "{most:.3g}: what the equations say so far beyond is a guess, so log it there, or give targets nearer to the log",
     "forecast.beyond_inputs": "flights take {input} from {low:.2g} to {high:.2g}, the log tells of {least:.2g} to "
     "{most:.2g}, and the equations are not linear in it: plan with the log, or log all of the range",
-    "control.period": _period,
+    "control.period": lambda cause, **facts: _fill(
+        f"the control period is {{seconds:g}} s, {PERIODS[cause]}; <env.dt> chooses another one", facts
+    ),
     "control.sampled": "the control period is {seconds:g} s and not {wanted:env.dt}, the log has one in {step:g} s",
     "control.restless": "at rest {input} still changes by {percent:.2g} % of its range from period to period, on "
     "average: see that the actuator stands it",
