@@ -38,7 +38,7 @@ from dynasindy.progress import Event, TimeIsUp, listening, report_progress, repo
 from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.fit_report import FitReport
 from dynasindy.sindy.functions import QUOTIENTS
-from dynasindy.sindy.lag_states import lag_state_candidates, lag_state_finding, with_lag_state
+from dynasindy.sindy.lag_states import lag_state_candidates, lag_state_findings, with_lag_state
 from dynasindy.sindy.library import Constraints, Factor, Feature, Library, variable
 from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
@@ -131,17 +131,16 @@ class LogFit:
     @cached_property
     def content(self) -> list[Finding]:
         """What the equations hold, and which of their states no sensor sees."""
-        follower = lag_state_finding(self.model)
-        found = [*equation_findings(self.model, self.report), *([follower] if follower else [])]
+        found = [*equation_findings(self.model, self.report), *lag_state_findings(self.model)]
         return [*found, *idle_states(self.model, self.source.training)]
 
 
 def fit_log(model: SindyModel, source: Source) -> LogFit:
     """Fit a model to data; of a log the one of many candidates that predicts best what their fits have not seen.
 
-    Candidates are tried where the refinement of the model is left to the data (`auto`). Where its library is one that
-    suits any plant, rates, hidden states and more functions are candidates, too. Of any other refinement rates alone
-    are, where nobody said what is known. A model with `known={}` gets none.
+    Candidates are tried where the refinement of the model is left to the data (`auto`); of data of a simulated plant,
+    where the library suits any plant. Of such a library, rates, hidden states and more functions are candidates, too.
+    Of any other refinement rates alone are, where nobody said what is known. A model with `known={}` gets none.
 
     Args:
         model: what to fit.
@@ -155,7 +154,8 @@ def fit_log(model: SindyModel, source: Source) -> LogFit:
     report_progress("fit")
     settings = model.refinement
     free = settings is not None and settings.method == "auto" and settings.error is None
-    searched = settings is not None and source.logged and model.step is None and (free or model.given_known is None)
+    unknown = source.logged or _builder_of(model) is not None
+    searched = settings is not None and unknown and model.step is None and (free or model.given_known is None)
     if settings is not None and searched and (folds := HoldOut.folds(source)):
         search = _Search(model, settings, source, folds)
         if free and (found := search.run()) is not None:
@@ -360,10 +360,7 @@ class _Search:
     @cached_property
     def builder(self) -> LibraryBuilder | None:
         """What the library was built by, if that suits any plant."""
-        built = (
-            each for each in (auto_rig, auto) if set(each(self.given.signature).names) == set(self.given.library.names)
-        )
-        return next(built, None)
+        return _builder_of(self.given)
 
     @cached_property
     def slow(self) -> float:
@@ -554,8 +551,8 @@ class _Search:
                 for lagging in trials[:LAG_STATES]:
                     if time.process_time() - began > SHARE * self.refinement.seconds:
                         return best
-                    signal = lagging.followed[lagging.signature.state_names[-1]]
-                    what, models = f"{last.what}, a state that follows {signal}", self._each(lagging)
+                    signals = ", ".join(s for n, s in lagging.followed.items() if n not in last.model.followed)
+                    what, models = f"{last.what}, what follows {signals}", self._each(lagging)
                     data = last.source.with_unmeasured(lagging.signature)
                     found = self._fit(what, models, data, self._settings(select=False), of.structure)
                     best, self.lag_seconds = _better(best, found), time.process_time() - began
@@ -701,6 +698,12 @@ class _Search:
             return []
         name, seconds = best.source.signature.state_names[i], fold.steps[k] * best.source.training.dt
         return [weak("fit.behind", state=name, seconds=seconds, factor=float(behind[k, i]))]
+
+
+def _builder_of(model: SindyModel) -> LibraryBuilder | None:
+    """Return what the library of a model was built by, if that suits any plant."""
+    names = set(model.library.names)
+    return next((each for each in (auto_rig, auto) if set(each(model.signature).names) == names), None)
 
 
 def _warm_started(model: SindyModel) -> SindyModel:

@@ -15,7 +15,9 @@ T is found by regressions on signals that were led through such a lag, then with
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 import torch
@@ -28,6 +30,7 @@ from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.reconstruction import BRIEF, RegressionData, rate_states, reconstruct
 from dynasindy.sindy.regression import Rows, RunningSums, weak_form
 from dynasindy.sindy.shooting import choose_stretches
+from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
 TIMES = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
@@ -38,17 +41,22 @@ PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Parts of a model's delay that are tried."""
 
 
-def lag_state_finding(model: SindyModel) -> Finding | None:
-    """Return what the last state of a fitted model follows, and how fast; None where it does not."""
-    state, rate = model.signature.state_names[-1], float(model.coefficients[-1, -1])
-    if (signal := model.followed.get(state)) is None or not rate > 0:
-        return None
-    is_input = signal in model.signature.input_names
-    return note("model.lag_state", signal=signal, seconds=1 / rate, is_input=is_input, state=state)
+def lag_state_findings(model: SindyModel) -> list[Finding]:
+    """Return what states of a fitted model only follow a signal, and how fast."""
+    found = []
+    for state, signal in model.followed.items():
+        rate = float(model.coefficients[:, model.signature.state_index(state)].sum())
+        if rate > 0:
+            is_input = signal in model.signature.input_names
+            found.append(note("model.lag_state", signal=signal, seconds=1 / rate, is_input=is_input, state=state))
+    return found
 
 
 def lag_state_candidates(model: SindyModel, data: Transitions) -> list[SindyModel]:
     """Return models with a state that follows an input or a measured state, those first that regressions prefer.
+
+    Actuators are often alike, and hardly tell their lag one by one: states that follow all inputs with one time are
+    tried, too.
 
     Those are left out by which a regression explains no more, and all where equations are known beyond rates. What
     the model takes for a delay of the inputs may be one, may stand for the state that is missing, or be a part of both:
@@ -77,17 +85,18 @@ def lag_state_candidates(model: SindyModel, data: Transitions) -> list[SindyMode
     measured, found, alone = ~data.x.isnan().all(0), list[tuple[float, SindyModel]](), late[model.delay]
     plain = _unexplained(model, alone.rows(model.library, model.library))
     names = [name for i, name in enumerate(model.signature.state_names) if bool(measured[i] & _moved(model, i)[1])]
-    for signal in (*model.signature.input_names, *names):
-        wide = with_lag_state(model, signal)
-        rows = {(delay, time): _led(each, wide, signal, time) for delay, each in late.items() for time in times}
-        costs = {key: _unexplained(wide, each) for key, each in rows.items()}
+    inputs = [name for name in model.signature.input_names if name not in model.followed.values()]
+    for signals in [(name,) for name in (*inputs, *names)] + [tuple(inputs)] * (len(inputs) > 1):
+        wide, lags = reduce(with_lag_state, signals, model), len(signals)
+        rows = {(delay, time): _led(each, wide, signals, time) for delay, each in late.items() for time in times}
+        costs = {key: _unexplained(wide, each, lags) for key, each in rows.items()}
         if not costs:
             continue
         delay, time = best = min(costs, key=costs.__getitem__)
         gain, count = plain - costs[best], len(rows[best][0])
         # Of two numbers more each is worth half of that; what hardly lags stands for a rate, which explains itself.
-        if gain > math.log(count) and (signal in model.signature.input_names or time > times[0]):
-            wide.initial, wide.initial_delay = _solved(wide, rows[best], time), delay
+        if gain > (1 + lags) / 2 * math.log(count) and (signals[0] in inputs or time > times[0]):
+            wide.initial, wide.initial_delay = _solved(wide, rows[best], time, lags), delay
             found.append((gain / count, wide))
     return [wide for _, wide in sorted(found, key=lambda each: -each[0])]
 
@@ -98,19 +107,22 @@ def _moved(model: SindyModel, i: int) -> tuple[int, bool]:
     return rate, bool(model.constraints.free[:, rate].any())
 
 
-def _led(seen: RegressionData, wide: SindyModel, signal: str, time: float) -> Rows:
-    """Return averaged rows under a state that follows a signal with a time [s], then a decay for each stretch."""
-    guess, names, n_x = seen.guess, wide.signature, wide.signature.n_x
+def _level(guess: Transitions, names: Signature, signal: str) -> Tensor:
     if signal in names.input_names:
-        level = guess.mean_inputs[:, names.input_names.index(signal)]
-    else:
-        level = 0.5 * (guess.x + guess.x_next)[:, names.state_index(signal)]
+        return guess.mean_inputs[:, names.input_names.index(signal)]
+    return 0.5 * (guess.x + guess.x_next)[:, names.state_index(signal)]
+
+
+def _led(seen: RegressionData, wide: SindyModel, signals: Sequence[str], time: float) -> Rows:
+    """Return averaged rows under states that follow signals with a time [s], then a decay for each stretch."""
+    guess, n_x = seen.guess, wide.signature.n_x
     _, stretch = guess.segment.unique_consecutive(return_inverse=True)
     since = (torch.arange(len(guess)) - guess.segment_starts()).double().unsqueeze(-1) * guess.dt
     began = torch.exp(-since / time) * torch.nn.functional.one_hot(stretch)
-    states = zip((guess.x, guess.x_next), _lag_dynamics(level, guess, time), (1.0, math.exp(-guess.dt / time)))
-    x, x_next = (torch.cat([each, own.unsqueeze(-1), left * began], -1) for each, own, left in states)
-    measured = widened(seen.measured, x.shape[1] - n_x + 1)
+    own = [_lag_dynamics(_level(guess, wide.signature, signal), guess, time) for signal in signals]
+    states = zip((guess.x, guess.x_next), zip(*own, strict=True), (1.0, math.exp(-guess.dt / time)))
+    x, x_next = (torch.cat([each, torch.stack(lags, -1), left * began], -1) for each, lags, left in states)
+    measured = widened(seen.measured, x.shape[1] - n_x + len(signals))
 
     def _theta(x: Tensor, u: Tensor) -> Tensor:
         return torch.cat([wide.library(x[..., :n_x], u), x[..., n_x:]], -1)
@@ -119,28 +131,27 @@ def _led(seen: RegressionData, wide: SindyModel, signal: str, time: float) -> Ro
     return theta, dx[:, :n_x]
 
 
-def _unexplained(model: SindyModel, rows: Rows) -> float:
+def _unexplained(model: SindyModel, rows: Rows, lags: int = 0) -> float:
     """Return N/2 log of what is left over."""
-    free, fixed = _columns(model, rows, torch.where(model.constraints.free, 0.0, model.coefficients))
+    free, fixed = _columns(model, rows, torch.where(model.constraints.free, 0.0, model.coefficients), lags)
     return unexplained(free, rows[0], rows[1] - rows[0] @ fixed)
 
 
-def _columns(model: SindyModel, rows: Rows, given: Tensor) -> tuple[Tensor, Tensor]:
+def _columns(model: SindyModel, rows: Rows, given: Tensor, lags: int) -> tuple[Tensor, Tensor]:
     """Return where coefficients of rows are sought, and those that are given, both `(n_columns, n_x)`."""
     more, free = rows[0].shape[1] - len(model.library), model.constraints.free
-    # What decays may act wherever a coefficient is sought, but for the equation of the state that follows.
+    # What decays may act wherever a coefficient is sought, but for the equations of the last states, which follow.
     free = torch.cat([free, free.any(0).expand(more, -1)])
-    if more:
-        free[:, -1] = False
+    free[:, free.shape[1] - lags :] = False
     return free, torch.nn.functional.pad(given, (0, 0, 0, more))
 
 
-def _solved(wide: SindyModel, rows: Rows, time: float) -> Tensor:
+def _solved(wide: SindyModel, rows: Rows, time: float, lags: int) -> Tensor:
     """Return the coefficients that the regression of a model finds."""
     sums = RunningSums(rows[0].shape[1], wide.signature.n_x)
     sums.add(rows)
-    found = wide.regression.solve(sums, *_columns(wide, rows, wide.constraints.offset))[: len(wide.library)]
-    found[-1, -1] = 1 / time
+    found = wide.regression.solve(sums, *_columns(wide, rows, wide.constraints.offset, lags))[: len(wide.library)]
+    found[-lags:, -lags:] = torch.eye(lags) / time
     return found
 
 
@@ -203,7 +214,7 @@ def lag_state_ranges(model: SindyModel, data: Transitions) -> dict[int, tuple[fl
             ends = data.u[:, names.input_names.index(signal)]
             found[place] = min(float(ends.min()), 0.0), max(float(ends.max()), 0.0)
             continue
-        level = 0.5 * (guess.x + guess.x_next)[:, names.state_index(signal)]
+        level = _level(guess, names, signal)
         behind = _lag_dynamics(level, data, 1 / float(model.coefficients[:, place].sum()))[1] - level
         found[place] = float(behind.min()), float(behind.max())
     return found

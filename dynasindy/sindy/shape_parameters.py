@@ -15,6 +15,8 @@ LITTLE = 1e-3
 """Gain of log-likelihood below which the numbers stand still."""
 STEP = 1e-6
 """Part of a number by which it is moved, to differentiate by it."""
+ROUNDED = 1e-7
+"""Part of a slope that rounding may leave of it."""
 RowsOf = Callable[[Theta, Theta], Rows]
 """Functions `(x, u) -> (N, n_features)` and a first model `(x, u) -> dx` to averaged functions and rates of change."""
 
@@ -79,7 +81,10 @@ def _step(library: Library, numbers: Tensor, xi: Tensor, active: Tensor, rows: R
         mine = theta[:, active[:, i]]
         basis = torch.linalg.qr(mine / mine.norm(dim=0).clamp_min(1e-300))[0]
         own = both[:, :, i] - basis @ (basis.mT @ both[:, :, i])
-        columns.append(own / (both[:, -1, i].norm() + tolerance * dx[:, i].norm()).clamp_min(1e-300))
-    stacked = torch.cat(columns)
-    scale = stacked[:, :-1].norm(dim=0).clamp_min(1e-300)
+        weight = (both[:, -1, i].norm() + tolerance * dx[:, i].norm()).clamp_min(1e-300)
+        columns.append(torch.stack([own, both[:, :, i]]) / weight)
+    stacked, whole = torch.cat(columns, 1)
+    scale = stacked[:, :-1].norm(dim=0)
+    # Of a number whose slope the coefficients explain but for rounding the data tell nothing: it stays.
+    scale = torch.where(scale > ROUNDED * whole[:, :-1].norm(dim=0), scale, torch.inf)
     return least_squares(stacked[:, :-1] / scale, stacked[:, -1]) / scale

@@ -13,7 +13,7 @@ from dynasindy.sindy.lag_states import (
     TIMES,
     completed,
     lag_state_candidates,
-    lag_state_finding,
+    lag_state_findings,
     lag_state_ranges,
     widened,
 )
@@ -101,18 +101,41 @@ def test_the_time_of_a_lag_is_found_and_one_that_is_not_there_is_not():
     assert "u" in best.followed.values() and 1 / float(wide.initial[-1, -1]) == pytest.approx(near)
     assert wide.signature.state_names == ("q", "w", "u_lagging") and wide.signature.state_units[-1] == "1"
     assert wide.followed == {"u_lagging": "u"} and wide.followers == {}
-    assert lag_state_finding(best) is None  # nothing is fitted yet
+    assert lag_state_findings(best) == []  # nothing is fitted yet
     wide.fit(widened(data))
     assert 1 / float(wide.coefficients[-1, 2]) == pytest.approx(0.15, rel=0.02)
     assert wide.library.names[-1] == "(u - u_lagging)" and wide.delay < 0.005
     found = {"signal": "u", "seconds": pytest.approx(0.15, rel=0.02), "is_input": True, "state": "u_lagging"}
-    assert lag_state_finding(best) == note("model.lag_state", **found)
+    assert lag_state_findings(best) == [note("model.lag_state", **found)]
     assert terms(wide, "w") == {
         "u_lagging": pytest.approx(8, rel=0.02),
         "w": pytest.approx(-0.5, rel=0.05),
         "sin(q)": pytest.approx(-9, rel=0.02),
     }
     assert wide.coefficients[:, 0].tolist() == [float(name == "w") for name in wide.library.names]
+
+
+def test_actuators_that_lag_alike_are_found_together():
+    """A body with two rotors: w' = 8 (a_1 - a_2) - 0.5 w; v' = 5 (a_1 + a_2) - v, a_i' = (u_i - a_i) / 0.12."""
+    u = torch.cat([levels(40, 15, seed) for seed in (0, 1)], -1)
+
+    def field(x, u):
+        a = x[2:]
+        return torch.stack([8 * (a[0] - a[1]) - 0.5 * x[0], 5 * a.sum() - x[1], *(u - a) / 0.12])
+
+    x = moved(field, [0.0] * 4, u, DT)[:, :2]
+    x += 1e-2 * torch.randn(x.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    data = Transitions.from_trajectory(x, u, DT)
+    signature = Signature(("w", "v"), ("rad/s", "m/s"), ("u_1", "u_2"), (3.0, 3.0))
+    model = made(signature, ["1", "w", "v", "u_1", "u_2"], {})
+    model.fit(data)
+    best = lag_state_candidates(model, data)[0]
+    assert best.followed == {"u_1_lagging": "u_1", "u_2_lagging": "u_2"}
+    best.fit(widened(data, 2))
+    found = [(each.values["signal"], each.values["seconds"]) for each in lag_state_findings(best)]
+    assert found == [("u_1", pytest.approx(0.12, rel=0.1)), ("u_2", pytest.approx(0.12, rel=0.1))]
+    assert terms(best, "w")["u_1_lagging"] == pytest.approx(8, rel=0.05)
+    assert terms(best, "v")["u_2_lagging"] == pytest.approx(5, rel=0.05)
 
 
 def test_what_creeps_after_an_angle_acts_in_the_equation_of_its_rate():
@@ -138,7 +161,7 @@ def test_a_second_heat_store_is_found_from_the_temperature_of_the_first():
     assert terms(best, "T") == {name: pytest.approx(value, rel=1e-4) for name, value in found.items()}
     assert terms(best, "T_lagging") == {"(T - T_lagging)": pytest.approx(1 / 360, rel=1e-4)}
     found = {"signal": "T", "seconds": pytest.approx(360, rel=1e-4), "is_input": False, "state": "T_lagging"}
-    assert lag_state_finding(best) == note("model.lag_state", **found)
+    assert lag_state_findings(best) == [note("model.lag_state", **found)]
 
 
 def commanded(data, samples):
