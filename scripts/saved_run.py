@@ -26,7 +26,7 @@ from dynasindy.dyna.run import run
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Policy, Scenario
 from dynasindy.safe_io import read_json, reading
-from dynasindy.sensing import Observer, Sensing, Sensors
+from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sindy import Oracle, SindyModel
 
 NO_PLANT = {"rig": "is a session on a rig", "data": "was planned from a log", "model": "was planned from a model"}
@@ -127,7 +127,8 @@ def load_sensing(config: DictConfig, folder: Path, env: ControlEnv) -> Sensing |
     if sensors is None:
         if not (folder / "observer.json").is_file():
             return None
-        sensors = Sensors.exact(env.system.signature)  # a delay was found, for which an observer makes up
+        # A delay was found, for which an observer makes up.
+        sensors = Sensors(dict.fromkeys(env.system.signature.state_names, Channel()))
     model = instantiate(config.world_model, _convert_="all")(signature=env.system.signature)
     if not isinstance(model, Oracle):
         model = SindyModel.load(folder / "model.json")

@@ -248,7 +248,7 @@ class TD3:
         """
         for name, weight in (*self.loss.state_dict().items(), *self.deployed.state_dict().items()):
             if not bool(weight.isfinite().all()):
-                raise self.diverged(f"weights of {name} are not finite")
+                raise self._diverged(f"weights of {name} are not finite")
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that a resumed run needs to equal an uninterrupted one."""
@@ -285,14 +285,10 @@ class TD3:
     def _require_finite(self, loss: Tensor, what: str) -> None:
         # A loss that is not finite stays so: weights that it has moved are NaN, and so is what they give.
         if (loss.is_cpu or self.updates % CHECK_EVERY == 0) and not math.isfinite(loss.item()):
-            raise self.diverged(f"{what} is {loss.item()}")
+            raise self._diverged(f"{what} is {loss.item()}")
 
-    def diverged(self, what: str) -> Diverged:
-        """Return the error that learning ended in, with what can be done about it.
-
-        Args:
-            what: What went wrong, in words.
-        """
+    def _diverged(self, what: str) -> Diverged:
+        """Return the error that learning ended in, with what can be done about it."""
         s = self.settings
         return Diverged(
             f"policy learning: {what} at update {self.updates} (critic_lr={s.critic_lr}, actor_lr={s.actor_lr}, "

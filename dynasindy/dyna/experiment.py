@@ -18,7 +18,7 @@ from dynasindy.excitation import Excitation
 from dynasindy.limits import Count, check_memory
 from dynasindy.limits import device as device_of
 from dynasindy.planning import Gate, Planner
-from dynasindy.sensing import Observer, Sensing, Sensors
+from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sindy import WorldModel
 from dynasindy.systems import System
 from dynasindy.tasks import Task
@@ -81,7 +81,8 @@ class Components(PlantComponents):
 
     def _watch(self) -> None:
         """Put sensors without errors, and an observer, between the plant and all else."""
-        observer = Observer(self.world_model, Sensors.exact(self.plant.system.signature), self.plant)
+        sensors = Sensors(dict.fromkeys(self.plant.system.signature.state_names, Channel()))
+        observer = Observer(self.world_model, sensors, self.plant)
         self.sensing = Sensing(self.plant, observer, torch.Generator())
         self.env = TransformedEnv(self.plant, self.sensing)
         self.replay.keep(MEASURED_KEYS)

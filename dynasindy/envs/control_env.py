@@ -18,7 +18,7 @@ from torchrl.envs.utils import _make_compatible_policy
 
 from dynasindy.limits import Positive, check_memory
 from dynasindy.systems import System, integrate, repeat_steps, simulate
-from dynasindy.systems.checks import rates, require_plant, shapes
+from dynasindy.systems.checks import rates_at_start, require_plant
 from dynasindy.systems.integrators import plain
 from dynasindy.systems.ranges import require_start_within
 from dynasindy.systems.steps import split_delay, steps_of, time_step_of
@@ -359,9 +359,7 @@ class ControlEnv(EnvBase):
     @torch.no_grad()
     def _require_rates(self) -> None:
         """Refuse a system that does not give one rate of change per state, in batches of any shape."""
-        n_x, n_u = self.system.signature.n_x, self.system.signature.n_u
-        for shape in shapes(n_x, n_u):
-            rates(self.system, self._begins(torch.Size(shape)), torch.zeros(*shape, n_u, dtype=self.float_type))
+        rates_at_start(self.system, self._begins)
 
     def _require_start_within(self) -> None:
         """Refuse bounds that exclude where episodes begin."""

@@ -104,15 +104,6 @@ class Sensors:
             y[..., i] = (value / channel.resolution).round() * channel.resolution if channel.resolution else value
         return torch.where(x.isfinite(), y.masked_fill(lost, torch.nan), torch.inf)
 
-    @classmethod
-    def exact(cls, signature: Signature) -> Sensors:
-        """Return sensors that measure all states as they are.
-
-        Args:
-            signature: Names of the states.
-        """
-        return cls({name: Channel() for name in signature.state_names})
-
     def noisier(self, std: Mapping[str, float]) -> Sensors:
         """Return the same sensors with more white noise on what they measure; what is not measured stays unmeasured.
 

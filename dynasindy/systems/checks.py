@@ -19,14 +19,14 @@ INNER = 0.98
 """Share of each range that is tried; a plant may end at its very ends."""
 
 
-def shapes(n_x: int, n_u: int) -> tuple[tuple[int, ...], ...]:
-    """Return shapes of batches of which none is taken for states or inputs: `x[0]` fails where `x[..., 0]` was meant.
+def rates_at_start(system: System, begins: Callable[[torch.Size], Tensor]) -> list[Tensor]:
+    """Return the rates, `(*batch, n_x)`, of batches of states in which a system begins; see `rates` for errors.
 
-    Args:
-        n_x: Number of states.
-        n_u: Number of inputs.
+    Neither shape is taken for states or inputs: `x[0]` fails where `x[..., 0]` was meant.
     """
-    return (n_x + n_u + 3,), (2, 3)
+    n_x, n_u = system.signature.n_x, system.signature.n_u
+    starts = [begins(torch.Size(shape)) for shape in ((n_x + n_u + 3,), (2, 3))]
+    return [rates(system, x, x.new_zeros(*x.shape[:-1], n_u)) for x in starts]
 
 
 def rates(system: System, x: Tensor, u: Tensor) -> Tensor:
@@ -66,11 +66,9 @@ def require_plant(system: System, begins: Callable[[torch.Size], Tensor], bounds
             place where it begins or in all places of its ranges.
     """
     _ = system.stops  # a system that was never built says so here
-    n_x, n_u = system.signature.n_x, system.signature.n_u
     with torch.no_grad():
-        for shape in shapes(n_x, n_u):
-            x = begins(torch.Size(shape))
-            finite = rates(system, x, torch.zeros(*shape, n_u, dtype=x.dtype)).isfinite().flatten(0, -2).all(0).tolist()
+        for dx in rates_at_start(system, begins):
+            finite = dx.isfinite().flatten(0, -2).all(0).tolist()
             if bad := [name for name, ok in zip(system.signature.state_names, finite, strict=True) if not ok]:
                 raise ValueError(
                     f"system {type(system).__name__} gives rates of change that are not finite, of {', '.join(bad)}, "

@@ -87,8 +87,6 @@ class Step(Reference):
     """
 
     def __init__(self, targets: Sequence[Sequence[float]]) -> None:
-        if not len(targets):
-            raise ValueError("step references need at least one target, got none; give e.g. [[0.4, 0.25]]")
         _finite("step reference (targets)", *targets)
         self.targets = torch.tensor([list(row) for row in targets], dtype=torch.float32)
         self.n_r = self.targets.shape[-1]

@@ -64,6 +64,7 @@ def test_rates_are_those_entries_that_name_two_states():
 
 def test_exact_sensors_measure_all_states_as_they_are():
     signature = Pendulum().signature
-    sensors, x = Sensors.exact(signature), torch.tensor([[0.123456789, -4.0]], dtype=torch.float64)
+    sensors = Sensors(dict.fromkeys(signature.state_names, Channel()))
+    x = torch.tensor([[0.123456789, -4.0]], dtype=torch.float64)
     assert torch.equal(sensors.read(x, signature, torch.Generator().manual_seed(0)), x)
     assert sensors.variance(signature).tolist() == [0.0, 0.0]
