@@ -33,7 +33,6 @@ from dynasindy.viz.style import (
     legend,
     panels,
     save_figures,
-    spell_names,
     styled,
     time_axis,
     time_span,
@@ -146,7 +145,7 @@ def draw_evaluation(
     row, words = representative_episode(evaluation)
     name, signature = evaluation.scenario, evaluation.signature
     disturbed = (each.removeprefix(f"{name}: ") for each in evaluation.disturbances)  # which the name says already
-    scenario = "; ".join([f"Scenario '{name}'{place and f' {place}'}", *map(spell_names, disturbed)])
+    scenario = "; ".join([f"Scenario '{name}'{place and f' {place}'}", *disturbed])
     title = "\n".join(filter(None, [scenario, words]))
     states, following = evaluation.trajectory["state"], evaluation.trajectory["next", "state"]
     x = torch.cat([states[row], following[row, -1:]])  # and the state after the last period

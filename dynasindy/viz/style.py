@@ -124,18 +124,6 @@ def label(name: str, unit: str = "") -> str:
     return f"{words}{symbol(name)}" + (f" [{unit}]" if unit else "")
 
 
-def spell_names(text: str) -> str:
-    """Return a text with words for the names of the twin rotor, and units with raised exponents.
-
-    What a plant's equation makes of a state is told with a stroke, `Omega_a'`, and is the change of it. Names of other
-    plants stay: they may be single letters, as units are.
-    """
-    for name, words in WORDS.items():
-        text = re.sub(rf"\b{name}'", f"change of {words}", text)
-        text = re.sub(rf"\b{name}\b", words, text)
-    return text.replace("^2", "²")
-
-
 def draw_input(axis: Axes, seconds: Array, u: Array, signature: Signature, place: int, **look: Any) -> None:
     """Draw an input over time as it is held, up to the end of its last period, in the unit and range of its actuator.
 

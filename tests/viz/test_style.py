@@ -10,17 +10,9 @@ from dynasindy.viz.style import (
     draw_input,
     label,
     panels,
-    spell_names,
     symbol,
     time_span,
 )
-
-
-def test_names_in_a_sentence_become_words():
-    detuned = "detuned: change of azimuth rate times 0.9, main input times 0.8"
-    assert spell_names("pushed by 0.5 rad/s^2 on Omega_a") == "pushed by 0.5 rad/s² on azimuth rate"
-    assert spell_names("detuned: Omega_a' times 0.9, u_p times 0.8") == detuned
-    assert spell_names("pushed by 2 m/s^2 on m, s") == "pushed by 2 m/s² on m, s"
 
 
 @pytest.mark.parametrize(
