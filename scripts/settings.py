@@ -161,11 +161,12 @@ def _arguments(tree: Any) -> Iterator[tuple[str, Any, Any]]:
 @cache
 def parameters(builder: Any) -> tuple[dict[str, Any], set[str], bool]:
     """Return the annotations of a class or function by argument, which it needs, and whether it takes others."""
-    hidden = isinstance(builder, type) and not is_dataclass(builder)  # a class may hide its own in a metaclass
+    # A class may hide its own in a metaclass, or inherit those of a dataclass of pydantic, whose `__init__` has none.
+    hidden = isinstance(builder, type) and "__pydantic_fields__" not in vars(builder)
     function = builder.__init__ if hidden else builder
     try:
         # Fields of a dataclass may be inherited from another module, whose names are known to the class alone.
-        hints = get_type_hints(function, include_extras=True)
+        hints = get_type_hints(builder if is_dataclass(builder) else function, include_extras=True)
         parameters = list(inspect.signature(function).parameters.values())[hidden:]
     except (NameError, TypeError, ValueError, AttributeError):  # another library's, that does not say
         return {}, set(), True
