@@ -47,8 +47,12 @@ def holding(w):
 @pytest.mark.parametrize(
     ("prediction", "foretold", "error"),
     [
-        ({"controlled": True, "score": 0.0123}, ("CONTROLLED", "1.23"), 10.0),
-        ({"controlled": False, "score": None}, ("NOT promised", "inf"), 10.0),
+        (
+            {"controlled": True, "flights": [{"share": {"w": 0.0123}}, {"share": {"w": 0.01}}]},
+            ("CONTROLLED", "1.23"),
+            10.0,
+        ),
+        ({"controlled": False, "flights": [None]}, ("NOT promised", "inf"), 10.0),
         (None, ("no controller", "inf"), math.inf),
     ],
 )

@@ -142,7 +142,7 @@ def test_a_job_of_a_sweep_is_done_again_if_its_log_is_another_one(tmp_path, monk
     (run / "config.yaml").write_text("settings")
     (run / "origin.json").write_text(json.dumps({"command": "train.py", "read": read}))
     assert logged._finished(run, "settings", read) is None  # it has forecast nothing yet
-    (run / "metrics.json").write_text('{"prediction": {"controlled": true, "score": 0.25}}')
+    (run / "metrics.json").write_text('{"prediction": {"controlled": true}}')
     assert logged._finished(run, "settings", read) is True
     assert logged._finished(run, "other settings", read) is None
     file.write_text("time,y,u\n0,1,2\n")
