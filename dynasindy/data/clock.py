@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,35 +62,33 @@ def is_counter(column: Array) -> bool:
     return len(column) > 1 and bool((np.diff(column) > 0).all() and (column == column.round()).all())
 
 
-class _Ticks(NamedTuple):
-    """Stamps of a clock that moves in ticks [s]: they are `at` these [ticks], `digits` units of the last digit each.
+def _possible_ticks(column: Array, unit: float) -> Iterator[tuple[float, Array, int, float]]:
+    """Yield the ticks [s] of which all stamps may be multiples, the likelier first; none of stamps with all digits.
 
-    Where a tick is no whole number of such units `digits` is 0. Rounding adds `slack` [ticks].
+    Beside them stand the stamps [ticks], of how many units of the last digit a tick is, 0 where of no whole number,
+    and what rounding adds [ticks].
     """
-
-    tick: float
-    at: Array
-    digits: int
-    slack: float
-
-
-def _possible_ticks(column: Array, unit: float) -> Iterator[_Ticks]:
-    """Yield the ticks of which all stamps may be multiples, the likelier first; none of stamps with all digits."""
     largest = np.abs(column).max()
-    noise = 4 * float(np.spacing(largest))
+    noise, single = 4 * float(np.spacing(largest)), column.astype(np.float32)
     places = (k for k in range(10) if np.abs(column - (column * 10**k).round() / 10**k).max() <= noise)
-    digit = next((10.0**-k for k in places), 0.0)
-    single = float(np.spacing(np.float32(largest)))
-    if digit < single and _is_single(column):
-        column, digit = column.astype(np.float32).astype(np.float64), single
+    digit, coarse = next((10.0**-k for k in places), 0.0), float(np.spacing(np.float32(largest)))
+    shortest = single[:1000].astype(str).astype(np.float64)  # of single precision, in full or in the fewest digits
+    if digit < coarse and ((column[:1000] == single[:1000]) | (column[:1000] == shortest)).all():
+        column, digit = single.astype(np.float64), coarse
     steps = (np.diff(column) / max(digit, noise)).round().astype(np.int64)
     if digit <= noise or not (divisor := int(np.gcd.reduce(steps))):
         return
     tick = digit * divisor
-    at, slack = (column - column[0]) / tick, 2 * noise / tick
-    yield _Ticks(tick * unit, at, divisor, slack)
-    if ratio := _coarser(steps // divisor):
-        yield _Ticks(tick * ratio * unit, at / ratio, 0, (2 + slack) / ratio)
+    at, slack, steps = (column - column[0]) / tick, 2 * noise / tick, steps // divisor
+    yield tick * unit, at, divisor, slack
+    # A tick of some digits that is rounded to whole ones makes steps such as 15, 16, 31 and 32 ms.
+    sizes = np.sort(steps[(steps > 0) & (steps <= 3 * np.median(steps))])
+    groups = np.split(sizes, np.flatnonzero(np.diff(sizes) > 1) + 1)
+    if len(groups) > 1 and all(group[-1] - group[0] <= 1 for group in groups):
+        means = np.array([group.mean() for group in groups])
+        ratio = float(np.diff(means).min())
+        if ratio > 2 and np.abs(means / ratio - (means / ratio).round()).max() < 0.15:
+            yield tick * ratio * unit, at / ratio, 0, (2 + slack) / ratio
 
 
 def _numbered(at: Array, period: float, within: float) -> tuple[Array, int]:
@@ -99,10 +96,6 @@ def _numbered(at: Array, period: float, within: float) -> tuple[Array, int]:
 
     All are in ticks. A row that comes later than its number says is behind rows that were lost.
     """
-    rows = np.arange(len(at), dtype=np.float64)
-    off = at - period * rows
-    if max(off.max(), 0.0) - min(off.min(), 0.0) <= within:  # no row was lost
-        return rows, 0
     low = high = 0.0
     number, anew, numbers = -1, 0, list[int]()
     for stamp in at.tolist():
@@ -116,90 +109,67 @@ def _numbered(at: Array, period: float, within: float) -> tuple[Array, int]:
     return np.array(numbers, dtype=np.float64), anew
 
 
-def _possible_periods(at: Array, low: float, starts: NDArray[np.int64], within: float) -> tuple[float, float] | None:
-    """Return the shortest and the longest period [ticks] of an even clock that gives such stamps, if any does.
+def _possible_periods(at: Array, low: float, starts: NDArray[np.int64], within: float) -> list[float]:
+    """Return the shortest and the longest period [ticks] of an even clock that gives such stamps; empty if none does.
 
-    It lies between `low` and one more; from each start on stamps stay in a strip of their own about even times.
+    It lies between `low` and one more; from each start on stamps stay in a strip of their own about even times. Two
+    that leave it bound the period: each of the two is moved there until none does.
     """
-    rows = np.arange(len(at))
-
-    def width(period: float) -> float:  # of the strip: a convex function
-        off = at - period * rows
-        return float((np.maximum.reduceat(off, starts) - np.minimum.reduceat(off, starts)).max())
-
-    first, last = low, low + 1.0
-    for _ in range(70):
-        left, right = first + (last - first) / 3, last - (last - first) / 3
-        first, last = (first, right) if width(left) <= width(right) else (left, last)
-    middle = 0.5 * (first + last)
-    if width(middle) > within:
-        return None
-    from scipy.optimize import brentq  # half a second of imports that most logs do without
-
-    first, last = (
-        end if width(end) <= within else brentq(lambda period: width(period) - within, middle, end)
-        for end in (low, low + 1.0)
-    )
-    return first, last
+    found = list[float]()
+    for period, way in ((low, 1), (low + 1.0, -1)):
+        while True:
+            off = at - period * np.arange(len(at))
+            widths = np.maximum.reduceat(off, starts) - np.minimum.reduceat(off, starts)
+            widest = int(widths.argmax())
+            part = off[slice(*np.append(starts, len(at))[widest : widest + 2])]
+            apart, beyond = int(part.argmax()) - int(part.argmin()), float(widths[widest]) - within
+            if beyond <= 1e-9:
+                break
+            if apart * way <= 0:
+                return []
+            period += beyond / apart
+        found.append(period)
+    return found
 
 
-def _is_single(column: Array) -> bool:
-    """Tell whether numbers are those of single precision, in full or in the fewest digits that tell them."""
-    single = column[:1000].astype(np.float32)
-    return all(value == float(one) or value == float(str(one)) for value, one in zip(column, single, strict=False))
-
-
-def _coarser(steps: NDArray[np.int64]) -> float:
-    """Return how many digits a tick has that is rounded to whole ones, as 15, 16, 31 and 32 ms are; else 0."""
-    sizes, counts = np.unique(steps[(steps > 0) & (steps <= 3 * np.median(steps))], return_counts=True)
-    groups = np.split(np.arange(len(sizes)), np.flatnonzero(np.diff(sizes) > 1) + 1)
-    if len(groups) < 2 or any(sizes[group[-1]] - sizes[group[0]] > 1 for group in groups):
-        return 0.0
-    means = np.array([np.average(sizes[group], weights=counts[group]) for group in groups])
-    ratio = float(np.diff(means).min())
-    whole = np.abs(means / ratio - (means / ratio).round()).max() < 0.15
-    return ratio if whole and ratio > 2 else 0.0
-
-
-def _fit_even_clock(path: str, ticks: _Ticks, dt: float | None) -> tuple[Array, float] | None:
-    """Return times of an even clock and its period [s] if it can have given such stamps, else None.
+def _fit_even_clock(path: str, column: Array, unit: float, dt: float | None) -> tuple[Array, float, float] | None:
+    """Return times of an even clock, its period and its tick [s] if it can have given such stamps, else None.
 
     An even clock of period dt that is rounded to ticks writes steps of two neighbouring numbers of ticks, in the rhythm
     that keeps t_k - k dt within one tick. Any two stamps of it bound dt: it is within a tick of their difference, over
     the rows between them. Times that have no such rhythm, of a clock that is late now and then, stay as they are.
     """
-    steps, rows = np.diff(ticks.at).round(), len(ticks.at)
-    sizes, counts = np.unique(steps, return_counts=True)
-    pairs = counts + np.append(np.where(np.diff(sizes) == 1, counts[1:], 0), 0)
-    low = float(sizes[pairs.argmax()])
-    within = (1 + 1e-6 if low < 2 else 1.2) + ticks.slack  # wider where no lost row can look like a tick
-    if dt is not None:
-        period = dt / ticks.tick
-        if abs(period - round(period)) * rows < 0.5 or not low <= period <= low + 1:  # even times are ticks, or others
-            return None
-        numbers, anew = _numbered(ticks.at, period, within)
-        return (dt * numbers, dt) if anew <= (1 - MOSTLY) * rows else None
-    inside = (steps == low) | (steps == low + 1)
-    rare = low if (steps == low).sum() < (steps == low + 1).sum() else low + 1
-    odd = np.flatnonzero(steps == rare)
-    if len(odd) < (3 if low < 2 else 1):  # fewer may be lost or doubled rows, and no rhythm
-        return None
-    starts = np.append(0, np.flatnonzero(~inside) + 1)
-    found = _possible_periods(ticks.at, low, starts, within) if inside.mean() >= MOSTLY else None
-    # A log may lose a tenth of its rows at random; where more steps are odd, a coarse clock is as likely.
-    mixed = low == 1 and ticks.digits < 2 and (len(odd) > 0.1 * rows or _is_rhythm(np.diff(odd)))
-    if found is None and not mixed:
-        return None
-    if found is None or found[1] - found[0] > 0.005 * (found[0] + found[1]) or (low == 1 and ticks.digits != 1):
-        raise LogError("log.coarse_time", file=path, tick=ticks.tick, low=low, high=low + 1)
-    period = _round_between(found[0] * ticks.tick, found[1] * ticks.tick)
-    return period * _numbered(ticks.at, period / ticks.tick, within)[0], period
-
-
-def _is_rhythm(intervals: NDArray[np.int64]) -> bool:
-    """Tell whether intervals vary less than those of steps that are odd at random, by more than chance may do."""
-    mean, count = intervals.mean(), len(intervals)
-    return bool(intervals.var() < 0.5 * (1 - math.sqrt(3 / max(count, 3))) * mean * (mean - 1))
+    for tick, at, digits, slack in _possible_ticks(column, unit):
+        steps, rows = np.diff(at).round(), len(at)
+        sizes, counts = np.unique(steps, return_counts=True)
+        pairs = counts + np.append(np.where(np.diff(sizes) == 1, counts[1:], 0), 0)
+        low = float(sizes[pairs.argmax()])
+        within = (1 + 1e-6 if low < 2 else 1.2) + slack  # wider where no lost row can look like a tick
+        if dt is not None:
+            period = dt / tick
+            if abs(period - round(period)) * rows < 0.5 or not low <= period <= low + 1:  # even times are ticks
+                continue
+            numbers, anew = _numbered(at, period, within)
+            if anew <= (1 - MOSTLY) * rows:
+                return dt * numbers, dt, tick
+            continue
+        few, many = steps == low, steps == low + 1
+        odd = np.flatnonzero(few if few.sum() < many.sum() else many)
+        if len(odd) < (3 if low < 2 else 1):  # fewer may be lost or doubled rows, and no rhythm
+            continue
+        inside, between = few | many, np.diff(odd)
+        starts = np.append(0, np.flatnonzero(~inside) + 1)
+        found = _possible_periods(at, low, starts, within) if inside.mean() >= MOSTLY else []
+        # A log may lose a tenth of its rows at random; where more steps are odd, or at even distances, a coarse clock
+        # is as likely.
+        rhythm = len(odd) > FEWEST and between.std() < 0.5 * between.mean()
+        if not found and not (low == 1 and digits < 2 and (rhythm or len(odd) > 0.1 * rows)):
+            continue
+        if not found or found[1] - found[0] > 0.005 * sum(found) or (low == 1 and digits != 1):
+            raise LogError("log.coarse_time", file=path, tick=tick, low=low, high=low + 1)
+        period = _round_between(found[0] * tick, found[1] * tick)
+        return period * _numbered(at, period / tick, within)[0], period, tick
+    return None
 
 
 def _round_between(low: float, high: float) -> float:
@@ -297,10 +267,8 @@ def in_seconds(path: str, table: Table, unit: str, dt: float | None) -> tuple[Ar
     if not unit and not table.dated and len(values) and values[0] > 3e10:  # of a time since any date
         raise LogError("log.large_time", file=path, column=heading, value=float(values[0]))
     period, said = period_of(t) if len(t) > 1 else 0.0, list[Finding]()
-    for ticks in _possible_ticks(values, seconds) if len(t) > 2 and (np.diff(t) >= 0).all() else ():
-        if (found := _fit_even_clock(path, ticks, dt)) is not None:
-            t, period = found
-            said = [note("log.coarse_clock", column=name, tick=ticks.tick, dt=period)]
-            break
+    if len(t) > 2 and (np.diff(t) >= 0).all() and (found := _fit_even_clock(path, values, seconds, dt)) is not None:
+        t, period, tick = found
+        said = [note("log.coarse_clock", column=name, tick=tick, dt=period)]
     said += [weak("log.whole_seconds", column=name)] if counts else []
     return t, [note("log.time", column=name, unit=unit, dates=bool(table.dated), dt=period), *said, *again]
