@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import torch
@@ -132,7 +132,7 @@ class FitReport:
     ) -> FitReport:
         """Summarise the coefficients of a fit against the sums it was made from, but for what is given."""
         relative = sums.residual(coefficients) / sums.norms()[sums.n_features :].clamp_min(1e-300)
-        names, source = library.signature.state_names, (library, coefficients.clone(), sums.copy())
+        names, source = library.signature.state_names, (library, coefficients.clone(), copy(sums))
         terms = dict(zip(names, (coefficients != 0).sum(0).tolist(), strict=True))
         residual = residual or dict(zip(names, relative.tolist(), strict=True))
         return cls(**{"samples": sums.count} | more, seconds=seconds, terms=terms, residual=residual, _source=source)
@@ -149,12 +149,6 @@ class FitReport:
             active = coefficients[:, i].nonzero().flatten()
             parts[active, i] = 1 / torch.linalg.pinv(scaled[:, active]).norm(dim=1).clamp_min(1.0)
         return parts
-
-    @cached_property
-    def identifiability(self) -> Identifiability:
-        """Judge what the samples can tell; computed when first asked for."""
-        library, _, sums = self._source
-        return Identifiability.of(library, sums)
 
     @property
     def accuracy(self) -> list[Finding]:
@@ -180,7 +174,8 @@ class FitReport:
         each = f" of {self.dt:g} s" if self.dt else ""
         lines = [f"fit of {self.samples} transitions{each}, which took {self.seconds:.3g} s"]
         counts = {name: f"{count} term{'s' * (count != 1)}" for name, count in self.terms.items()}
-        moves, it = ("'", "it") if self._source[0].step is None else ("[k+1] - {0}[k]", f"it, {CHANGE},")
+        library, _, sums = self._source
+        moves, it = ("'", "it") if library.step is None else ("[k+1] - {0}[k]", f"it, {CHANGE},")
         simulated = any(each.code == "fit.trajectories" for each in self.findings)  # then it is noise of single samples
         for state, part in self.residual.items():
             left = f"{100 * part:.3g} % of {it} stays unexplained (RMS), noise of the samples included"
@@ -189,4 +184,4 @@ class FitReport:
             lines.append(f"  {state}{moves.format(state)}: {counts[state]}{missed}")
         known = [str(each) for each in self.accuracy]
         findings = map(line, self.findings)
-        return "\n".join([*lines, *known, *findings, self.identifiability.to_text()])
+        return "\n".join([*lines, *known, *findings, Identifiability.of(library, sums).to_text()])

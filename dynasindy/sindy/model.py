@@ -262,15 +262,14 @@ class SindyModel(WorldModel):
 
     def get_extra_state(self) -> dict[str, object]:
         """Return what `state_dict` keeps besides the coefficients: the running sums, the fitted factors, the delay."""
-        shapes = [shape.frequency for shape in self.library.shapes]
-        sums, known = {"r": self.sums.r, "count": self.sums.count}, self.covariance and tuple(self.covariance)
         return {
-            **sums,
+            "r": self.sums.r,
+            "count": self.sums.count,
             "places": self.places,
-            "shapes": shapes,
+            "shapes": [shape.frequency for shape in self.library.shapes],
             "delay": self.delay,
             "step": self.step,
-            "covariance": known,
+            "covariance": self.covariance and tuple(self.covariance),
         }
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *others: Any) -> None:
@@ -509,14 +508,14 @@ class SindyModel(WorldModel):
             },
             "library": {f.name(): f.to_list() for f in library.features},
         }
-        if own := formula_texts(factor.function for feature in library.features for factor in feature.factors):
-            data["functions"] = own
-        if self.delay:
-            data["delay"] = self.delay
-        if self.linear_inputs:
-            data["linear_inputs"] = list(self.linear_inputs)
-        if library.step is not None:
-            data["step"] = library.step
+        optional = {
+            "functions": formula_texts(f.function for feature in library.features for f in feature.factors),
+            "delay": self.delay,
+            "linear_inputs": list(self.linear_inputs),
+            "step": library.step,
+            "uncertainty": self.covariance and _uncertainty(library, *self.covariance),
+        }
+        data |= {name: value for name, value in optional.items() if value}
         if not bool(self.constraints.free.all()):
             rows = zip(states, self.constraints.free.mT.tolist(), self.constraints.offset.mT.tolist(), strict=True)
             data["constraints"] = {
@@ -526,8 +525,6 @@ class SindyModel(WorldModel):
                 }
                 for s, free, offset in rows
             }
-        if self.covariance is not None:
-            data["uncertainty"] = _uncertainty(library, *self.covariance)
         return data
 
     @classmethod
@@ -786,15 +783,14 @@ def _uncertainty(library: Library, features: Tensor, places: Tensor, factor: Ten
 def _covariance(library: Library, data: dict[str, Any] | None) -> Covariance | None:
     if data is None:
         return None
-    features, states, errors, rows = [], [], [], []
-    for i, state in enumerate(library.signature.state_names):
-        for name, error in data["standard_errors"][state].items():
-            features.append(library.index(name))
-            states.append(i)
-            errors.append(_number(error))
-            numbers = data["correlation_factor"][state][name].split()
-            rows.append(torch.tensor([_number(float(number)) for number in numbers], dtype=torch.float64))
-    if not rows or any(not 0 < len(row) <= LARGEST_FACTOR for row in rows) or min(errors) < 0:
+    each = [
+        (library.index(name), i, _number(error), data["correlation_factor"][state][name].split())
+        for i, state in enumerate(library.signature.state_names)
+        for name, error in data["standard_errors"][state].items()
+    ]
+    features, states, errors, texts = zip(*each, strict=True)
+    rows = [torch.tensor([_number(float(number)) for number in text], dtype=torch.float64) for text in texts]
+    if any(not 0 < len(row) <= LARGEST_FACTOR for row in rows) or min(errors) < 0:
         raise TypeError("its uncertainty has no standard errors of 0 or more, each with its correlations")
     sizes = torch.tensor(errors, dtype=torch.float64).unsqueeze(-1)
     factor = sizes * torch.nn.utils.rnn.pad_sequence(rows, batch_first=True)

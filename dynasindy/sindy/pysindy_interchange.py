@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 import time
 import warnings
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -36,38 +35,24 @@ def to_pysindy(model: SindyModel) -> Any:
         )
     import pysindy
 
-    n_x, n_u = model.signature.n_x, model.signature.n_u
-    library = _pysindy_library(model.library)
-    theirs = pysindy.SINDy(optimizer=pysindy.STLSQ(threshold=0.0, alpha=0.0), feature_library=library)
-    rows = len(model.library) + 1
-    points = np.random.default_rng(0).uniform(0.1, 1.0, (rows, n_x + n_u))
-    names = [*model.signature.state_names, *model.signature.input_names]
-    theirs.fit(points[:, :n_x], t=1.0, x_dot=points[:, :n_x], u=points[:, n_x:], feature_names=names)
-    theirs.optimizer.coef_ = model.coefficients.mT.numpy().copy()
-    return theirs
-
-
-def _pysindy_library(library: Library) -> Any:
-    """Return a `pysindy.CustomLibrary` that holds the same functions in the same order."""
-    import pysindy
+    signature, n_x, n = model.signature, model.signature.n_x, model.signature.n_x + model.signature.n_u
 
     def _evaluate(feature: Feature, *columns: Any) -> Any:
         z = torch.stack([torch.as_tensor(np.asarray(c, dtype=np.float64)) for c in columns], -1)
-        n_x = library.signature.n_x
-        return Library(library.signature, [feature])(z[..., :n_x], z[..., n_x:])[..., 0].numpy()
+        return Library(signature, [feature])(z[..., :n_x], z[..., n_x:])[..., 0].numpy()
 
-    n = library.signature.n_x + library.signature.n_u
-    functions = [_with_arguments(functools.partial(_evaluate, f), n) for f in library.features]
-    names = [_with_arguments(lambda *_, f=f: f.name(), n) for f in library.features]
-    return pysindy.CustomLibrary(library_functions=functions, function_names=names)
-
-
-def _with_arguments(call: Callable[..., Any], n: int) -> Callable[..., Any]:
-    """Give a function n named arguments, which is how PySINDy counts them."""
-    arguments = ", ".join(f"z{i}" for i in range(n))
-    scope: dict[str, Any] = {"call": call}
-    exec(f"def named({arguments}):\n    return call({arguments})", scope)
-    return scope["named"]
+    features, arguments = model.library.features, ", ".join(f"z{i}" for i in range(n))
+    library = pysindy.CustomLibrary(
+        # PySINDy counts the arguments, so that they need names.
+        [eval(f"lambda {arguments}: call({arguments})", {"call": partial(_evaluate, f)}) for f in features],
+        [lambda *_, f=f: f.name() for f in features],
+    )
+    theirs = pysindy.SINDy(optimizer=pysindy.STLSQ(threshold=0.0, alpha=0.0), feature_library=library)
+    points = np.random.default_rng(0).uniform(0.1, 1.0, (len(features) + 1, n))
+    names = [*signature.state_names, *signature.input_names]
+    theirs.fit(points[:, :n_x], t=1.0, x_dot=points[:, :n_x], u=points[:, n_x:], feature_names=names)
+    theirs.optimizer.coef_ = model.coefficients.mT.numpy().copy()
+    return theirs
 
 
 def from_pysindy(theirs: Any, signature: Signature) -> SindyModel:
@@ -117,10 +102,8 @@ def to_sympy(model: SindyModel) -> dict[str, Any]:
     scope = {name: getattr(sympy, name) for name in ("sin", "cos", "exp", "tanh", "sqrt", "sign")}
     scope |= {"fabs": sympy.Abs, "square": lambda z: z**2, "larger": sympy.Max}
     names, program = model.signature, right_sides(model)
-    scope |= {
-        key: [sympy.Symbol(n, real=True) for n in of]
-        for key, of in (("x", names.state_names), ("u", names.input_names))
-    }
+    for key, variables in (("x", names.state_names), ("u", names.input_names)):
+        scope[key] = [sympy.Symbol(name, real=True) for name in variables]
     for name, formula in program.lines:  # written by our own code, of numbers and known functions alone
         scope[name] = eval(formula, {}, scope)
     return {

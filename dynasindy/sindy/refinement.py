@@ -6,13 +6,15 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
+import pydantic
 import torch
+from pydantic import Field
 from torch import Tensor
 
 from dynasindy.findings import Finding, note, weak
-from dynasindy.limits import Count
+from dynasindy.limits import Count, Positive
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.covariance import of_rates
 from dynasindy.sindy.delay import refine_delay, unexplained
@@ -49,8 +51,6 @@ EXACT = 1e-3
 """Part of the rates of change, unexplained, below which the inputs act at once: a delay of a sample leaves far more."""
 TELLING = 4.0
 """Factor on the squared error, of all states together, below which a regression does not tell a delay."""
-METHODS = ("integral", "one_step", "trajectory", "auto")
-ERRORS = ("simulation", "prediction", "innovation")
 OBSERVED = 500
 """Samples in a window through which an observer follows the plant: so many that it matters little where it begins."""
 ALPHA = 0.7
@@ -59,7 +59,7 @@ Model = tuple[Library, Tensor]
 """A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
 
-@dataclass(frozen=True)
+@pydantic.dataclasses.dataclass(frozen=True)
 class Refinement:
     """Settings of the refinement.
 
@@ -89,22 +89,13 @@ class Refinement:
 
     method: Literal["integral", "one_step", "trajectory", "auto"] = "integral"
     rounds: Count = 2
-    tolerance: float = 1e-6
-    window: int = 20
-    longest_delay: float | None = 0.0
+    tolerance: Annotated[float, Field(gt=0)] = 1e-6
+    window: Positive = 20
+    longest_delay: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = 0.0
     error: Literal["simulation", "prediction", "innovation"] | None = None
     select: bool = True
-    penalty: float = 1.0
-    seconds: float = 60.0
-
-    def __post_init__(self) -> None:
-        words = self.method in METHODS and self.error in (None, *ERRORS)
-        counts = self.rounds >= 0 and self.window >= 1 and 0 <= (self.longest_delay or 0.0) < math.inf
-        if not (words and counts and self.tolerance > 0 and self.penalty > 0 and self.seconds > 0):
-            raise ValueError(
-                f"refinement got {self}; allowed are method {', '.join(METHODS)}, error {', '.join(ERRORS)} or null, "
-                "longest_delay >= 0 or null, rounds >= 0, window >= 1, and tolerance, penalty and seconds > 0"
-            )
+    penalty: Annotated[float, Field(gt=0)] = 1.0
+    seconds: Annotated[float, Field(gt=0)] = 60.0
 
     def run(
         self,

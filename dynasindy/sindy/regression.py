@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import torch
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 from torch import Tensor
 
 from dynasindy.systems.steps import time_step_of
@@ -228,12 +229,6 @@ class RunningSums:
             self.r = torch.linalg.qr(torch.cat([self.r, part]), mode="r")[1]
             self.count += part.shape[0]
 
-    def copy(self) -> RunningSums:
-        """Return sums that no longer grow with these."""
-        copied = RunningSums(self.n_features, self.n_x)
-        copied.r, copied.count = self.r, self.count
-        return copied
-
     def norms(self) -> Tensor:
         """Return the 2-norm of every column of [Theta dX], `(n_features + n_x,)`."""
         return self.r.norm(dim=0)
@@ -258,30 +253,16 @@ class Regression:
     Attributes:
         method: `stlsq` (sequentially thresholded least squares) or `bic` (backward elimination, Bayesian criterion).
         threshold: lambda of the paper, for `stlsq`; it acts on coefficients of columns of unit norm.
-        normalize: `two_norm` (PySINDy's rule; weakens as samples accumulate) or `rms` (the same rule at 1000 samples,
-            whatever their number).
+        normalize: `two_norm`, PySINDy's rule, which weakens as samples accumulate.
         tolerance: residual, relative to the rate of change, below which `bic` takes a fit as exact.
         dependent: part of a function that others leave over, below which `bic` takes it as one of them.
     """
 
     method: Literal["stlsq", "bic"] = "stlsq"
-    threshold: float = 0.9
-    normalize: Literal["two_norm", "rms"] = "two_norm"
-    tolerance: float = 1e-5
+    threshold: Annotated[float, Field(ge=0)] = 0.9
+    normalize: Literal["two_norm"] = "two_norm"
+    tolerance: Annotated[float, Field(gt=0)] = 1e-5
     dependent: float = DEPENDENT
-
-    def __post_init__(self) -> None:
-        """Check the settings.
-
-        Raises:
-            ValueError: a word or a number is not allowed.
-        """
-        words = self.method in ("stlsq", "bic") and self.normalize in ("two_norm", "rms")
-        if not (words and self.threshold >= 0 and self.tolerance > 0):
-            raise ValueError(
-                f"regression got {self}; allowed are method stlsq or bic, normalize two_norm or rms, threshold >= 0 "
-                "(the paper's is 0.9), and tolerance > 0"
-            )
 
     def solve(self, sums: RunningSums, support: Tensor, offset: Tensor) -> Tensor:
         """Find sparse coefficients.
@@ -303,8 +284,7 @@ class Regression:
             support = support & (norms[: sums.n_features] > 0).unsqueeze(-1)
             found = rates * _eliminate(theta, targets / rates, support, sums.count, self.tolerance, self.dependent)
         else:
-            grown = math.sqrt(sums.count / 1000) if self.normalize == "rms" else 1.0
-            found = stlsq(theta, targets, support, self.threshold * grown)
+            found = stlsq(theta, targets, support, self.threshold)
         return offset + found / columns.unsqueeze(-1)
 
 
