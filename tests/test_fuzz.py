@@ -104,7 +104,7 @@ OPTIONS = (
     ("system=xi", "excitation=chirp", "planning=dyna"),
     ("system=trms33", "excitation=aprbs", "planning=nominal", "task=sine"),
     ("system=pendulum", "excitation=multisine", "scenario=square", "agent=td3_paper"),
-    ("experiment=paper", "excitation=aprbs", "world_model=pysindy_default", "scenario=noise"),
+    ("experiment=paper", "excitation=aprbs", "scenario=noise"),
     ("excitation=multisine", "world_model=oracle", "scenario=delay", "task=square", "planning=none"),
     ("excitation=chirp", "world_model=sindy_paper", "scenario=wind", "experiment=dyna"),
     ("scenario=detuned",),

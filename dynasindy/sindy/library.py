@@ -244,21 +244,8 @@ LARGEST = 10_000
 """Number of functions beyond which a library is taken for a mistake; the largest of a plant here has 159."""
 
 
-def _bounded(features: Iterable[Feature]) -> list[Feature]:
-    """Return features, unless there are more than a library may hold; they are not counted to their end."""
-    first = list(islice(features, LARGEST + 1))
-    if len(first) > LARGEST:
-        raise ValueError(
-            f"the library has more than {LARGEST} functions; lower its degree or order, or choose another list in "
-            f"{setting('plant.library')}"
-        )
-    return first
-
-
 class Library:
     """Evaluate candidate functions of states and inputs, Theta(x, u) of the paper, eq. (library).
-
-    `a + b` holds the functions of both, `a * b` all products of a function of one with a function of the other.
 
     Args:
         signature: names of the states and inputs the features read.
@@ -281,7 +268,13 @@ class Library:
         step: float | None = None,
     ) -> None:
         self.signature, self.step = signature, step
-        self.features: tuple[Feature, ...] = tuple({f.key: f for f in _bounded(features)}.values())
+        first = [*islice(features, LARGEST + 1)]  # they are not counted to their end
+        if len(first) > LARGEST:
+            raise ValueError(
+                f"the library has more than {LARGEST} functions; lower its degree or order, or choose another list in "
+                f"{setting('plant.library')}"
+            )
+        self.features: tuple[Feature, ...] = tuple({f.key: f for f in first}.values())
         self._index = {n: i for i, n in enumerate((*signature.state_names, *signature.input_names))}
         wrong = sorted(set().union(*(f.variables for f in self.features)) - set(self._index))
         if wrong:
@@ -361,10 +354,7 @@ class Library:
             else feature
             for feature in self.features
         ]
-        names = dict(zip(self.names, (f.name() for f in features), strict=True))
-        changed = Library(self.signature, features, step=self.step)
-        changed.allowed = {state: tuple(names[n] for n in group) for state, group in self.allowed.items()}
-        return changed
+        return Library(self.signature, features, step=self.step)
 
     def with_step(self, step: float | None) -> Library:
         """Return the library as one of a difference equation with that step [s], or of a differential equation."""

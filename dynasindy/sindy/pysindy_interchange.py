@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import time
-import warnings
 from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 
-from dynasindy.sindy.fit_report import FitReport
 from dynasindy.sindy.formulas import right_sides
 from dynasindy.sindy.library import Feature, Library, parse
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.regression import RunningSums, integral_form
 from dynasindy.systems.base import Signature
-from dynasindy.systems.transitions import Transitions
 
 
 def to_pysindy(model: SindyModel) -> Any:
@@ -109,38 +104,3 @@ def to_sympy(model: SindyModel) -> dict[str, Any]:
     return {
         s: sympy.expand(eval(result, {}, scope)) for s, result in zip(names.state_names, program.results, strict=True)
     }
-
-
-class PySindyDefault(SindyModel):
-    """Fit by PySINDy's defaults; predict by the same sparse field as `SindyModel`.
-
-    Args:
-        signature: names, units and ranges of the plant.
-    """
-
-    def __init__(self, signature: Signature) -> None:
-        super().__init__(signature, "polynomial")
-
-    @property
-    def additive(self) -> bool:
-        """It keeps no sums of earlier data."""
-        return False
-
-    def fit(self, transitions: Transitions) -> FitReport:
-        """Fit to the segments of transitions, as PySINDy's list of trajectories; short ones are left out."""
-        import pysindy
-
-        start, data = time.perf_counter(), transitions.to(torch.float64)
-        labels, counts = data.segment.unique_consecutive(return_counts=True)
-        parts = [data.select(data.segment == label) for label, n in zip(labels, counts, strict=True) if n >= 3]
-        names = [*self.signature.state_names, *self.signature.input_names]
-        theirs = pysindy.SINDy()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            states, inputs = ([getattr(p, key).numpy() for p in parts] for key in ("x", "u"))
-            theirs.fit(states, t=data.dt, u=inputs, feature_names=names)
-        found = from_pysindy(theirs, self.signature)
-        self.set_coefficients(found.coefficients[[found.library.index(name) for name in self.library.names]])
-        self.sums = RunningSums(len(self.library), self.signature.n_x)
-        self.sums.add(integral_form(self.library, data))
-        return FitReport.of(self.library, self.coefficients, self.sums, time.perf_counter() - start, dt=data.dt)
