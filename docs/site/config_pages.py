@@ -240,7 +240,7 @@ def _built(target: str) -> Any:
     if not target.startswith("dynasindy."):
         return None
     named = pkgutil.resolve_name(target)
-    return named.__init__ if isinstance(named, type) else named
+    return named.__init__ if isinstance(named, type) and not is_dataclass(named) else named
 
 
 def _described(name: str, target: str) -> str:
