@@ -458,10 +458,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "log.two_levels": "the log shows only two levels of input {input}, {low:g} and {high:g}, and a controller uses "
     "those between: log some, too; where the actuator can only switch, pulse it and log its share of time",
-    "log.hardly_moved": "input {input} was given low {low:g} and high {high:g}, and goes from {least:.6g} to "
-    "{most:.6g}, {percent:.1g} % of that: what a model says beyond is a guess: check units, log more, or narrow it",
-    "log.small_input": "input {input} goes from {least:.3g} to {most:.3g}, and its actuator, it seems, from -1 to 1: "
-    "what a model says so far beyond a log is a guess. Log more of the range, or give its ends: {inputs:data.inputs}",
+    "log.hardly_moved": "input {input} goes from {least:.6g} to {most:.6g}, {percent:.1g} % of what its actuator is "
+    "taken to reach, {low:g} to {high:g}: what a model says beyond a log is a guess. Check units, log more of it, or "
+    "give its ends: {inputs:data.inputs}",
     "log.beyond_ends": "input {input} goes from {least:g} to {most:g}, beyond the [-1, 1] of a plant's inputs; the "
     "model holds for these numbers, or give its ends, low and high, in <data.inputs>",
     "log.one_sided": "input {input} goes from {least:g} to {most:g}; its actuator is taken to reach from -1 to 1. If "
@@ -486,7 +485,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "log.column_without_numbers": "the column {column} holds no number: log what it should hold, or leave it out; rows "
     "without a time are even where <data.dt> is given",
-    "log.worded_input": "the input {column} holds words, such as {text!r}: write numbers, as 1 and 0 for UP and DOWN",
+    "log.worded_column": "the column {column} holds words, such as {text!r}; allowed are numbers, 1 and 0 for UP and "
+    "DOWN, and of time dates such as 2024-05-31 12:00:00.05 or 31.05.2024 12:00:00.05: write them so",
     "log.absent_column": lambda key, column, path, columns: (
         f"<{key}> names '{column}'; {path} has "
         f"{', '.join(columns)}: name columns of the file{did_you_mean(column, columns)}"

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict
+from pydantic.dataclasses import dataclass
 
 from dynasindy.data.clock import CLOCK, OVERFLOWS, clock_of, date_unit, is_counter
 from dynasindy.data.headings import (
@@ -32,7 +34,7 @@ from dynasindy.findings import Finding, LogError, note, weak
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
 class Column:
     """Say where a state or an input stands in the file.
 
@@ -44,6 +46,9 @@ class Column:
         low: lower end of an input's actuator after scaling; with `high`.
         high: its upper end.
         rest: what becomes 0 of an input, with both ends; zero if omitted, or the end next to zero.
+
+    Raises:
+        ValueError: the scale is zero, or there is one end alone, a rest without ends, or ends the wrong way round.
     """
 
     name: str = ""
@@ -52,6 +57,11 @@ class Column:
     low: float | None = None
     high: float | None = None
     rest: float | None = None
+
+    def __post_init__(self) -> None:
+        ends = self.low is not None and self.high is not None and self.low < self.high
+        if not self.scale or not (ends or self.low is self.high is self.rest is None):
+            raise ValueError("allowed are a scale that is not 0, and low < high, with them a rest, or none of these")
 
 
 def with_units(
@@ -188,7 +198,7 @@ def infer(
         kinds |= {name: "counter" for name in moves if keeps_time(table.column(columns[name].name), t)}
     for name, kind in kinds.items():
         if kind in ("words", "dates") and (name in driving or (inputs is None and INPUT.fullmatch(name))):
-            raise LogError("log.worded_input", file=path, column=name, text=table.words[columns[name].name].text)
+            raise LogError("log.worded_column", file=path, column=name, text=table.words[columns[name].name].text)
         if kind == "empty" and name in named:
             raise LogError("log.column_without_numbers", file=path, column=name)
     if dt is not None and not timed:  # even rows, unless a column may be a time by another name

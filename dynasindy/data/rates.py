@@ -108,8 +108,10 @@ def require_consistent_rates(
     known: Mapping[str, str],
     columns: Mapping[str, Column],
     file: str = "",
-) -> None:
-    """Refuse rates that are known and cannot be those of their states, for their equations are taken as exact.
+) -> list[Finding]:
+    """Return what `check_rates` does, but refuse rates that are known and cannot be those of their states.
+
+    Their equations are taken as exact.
 
     Args:
         data: The recording.
@@ -122,7 +124,7 @@ def require_consistent_rates(
         LogError: A rate was exchanged with its state, is in other units, or counts the other way.
     """
     place = {"file": file} if file else {}
-    for each in check_rates(data, signature, known):
+    for each in (findings := check_rates(data, signature, known)):
         state, rate = each.values["state"], each.values["rate"]
         if each.code == "log.rate_exchanged":
             raise LogError(each.code, **place, **each.values)
@@ -135,6 +137,7 @@ def require_consistent_rates(
         from dynasindy.data.columns import as_map  # with pandas, which data of a simulation do without
 
         raise LogError(each.code, **place, **each.values, unit=allowed, states=as_map(mended))
+    return findings
 
 
 def _compare(data: Transitions, state: int, rate: int) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -190,13 +190,7 @@ class LogReader:
         findings += (note("log.unmeasured", state=name) for name in states if name not in parts[0].x)
         self._require_enough(data, states, findings)
         units = tuple(c.unit for c in states.values())
-        most = dict(zip(states, sizes.tolist(), strict=True))
-        if tiny := [name for name, size in most.items() if 0 < size < 1e-19]:
-            raise ValueError(
-                f"{self}: '{tiny[0]}' has values up to {most[tiny[0]]:.1g}, whose squares no number holds; give it a "
-                f"scale in {setting('data.states')}, or leave it out"
-            )
-        scale = tuple(size or 1.0 for size in most.values())
+        scale = tuple(size or 1.0 for size in sizes.tolist())
         reach = actuator_units(ranges, [column.unit for column in inputs.values()])
         signature = Signature(tuple(states), units, tuple(inputs), scale, **reach)
         require_consistent_rates(data, signature, self.known_rates([*states]), states, str(self))
@@ -574,14 +568,14 @@ def _columns_of(group: Mapping[str, Any], states: bool) -> dict[str, Column]:
     """Return columns of what was given of states, of which some may have no heading, or of inputs, which have ends."""
     made = dict[str, Column]()
     for name, given in group.items():
-        column = Column(given) if isinstance(given, str) else given
-        if isinstance(given, Mapping) and given.keys() <= {f.name for f in fields(Column)}:
-            column = Column(**given)
-        if not isinstance(column, Column) or not _is_valid(column):
+        try:
+            keys = {"name": given} if isinstance(given, str) else given
+            column = given if isinstance(given, Column) else Column(**keys)
+        except (TypeError, ValueError) as error:
             raise ValueError(
                 f"a column is {given!r}; allowed is a heading, or the keys name, unit, scale (a number, not 0), "
                 f"and of inputs low and high (both, low < high), with these rest, a number: {correct_map()}"
-            )
+            ) from error
         if states and column.low is not None:
             raise ValueError(f"state {name} was given low and high, which inputs alone have: {correct_map()}")
         made[name] = column
@@ -589,16 +583,6 @@ def _columns_of(group: Mapping[str, Any], states: bool) -> dict[str, Column]:
         if not (column.name or (states and any(other.name for other in made.values()))):
             raise ValueError(f"{name} has no column; allowed is the name of one: {correct_map()}")
     return made
-
-
-def _is_valid(column: Column) -> bool:
-    low, high = column.low, column.high
-    numbers: list[object] = [column.scale, *(v for v in (low, high, column.rest) if v is not None)]
-    if not all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in numbers):
-        return False
-    ends = low is not None and high is not None and low < high
-    words: list[object] = [column.name, column.unit]
-    return all(isinstance(word, str) for word in words) and column.scale != 0 and (ends or len(numbers) == 1)
 
 
 def _actuator_ranges(
@@ -616,20 +600,16 @@ def _actuator_ranges(
         reach = _guess_range(least, most) if guess else PLAIN
         if given.low is not None and given.high is not None:
             reach = ActuatorScaling.of(given.low, given.high, given.rest)
-            width, ends = reach.high - reach.low, {"low": reach.low, "high": reach.high}
-            if reach != PLAIN and max(reach.low - least, most - reach.high) > ROUNDED * width / 2:
-                raise LogError("log.input_ends", file=path, **ends, **extent)
-            if (most - least) / width * WIDE <= 1:
-                findings.append(weak("log.hardly_moved", **ends, percent=100 * (most - least) / width, **extent))
-        found[name] = reach
+            if reach != PLAIN and max(reach.low - least, most - reach.high) > ROUNDED * (reach.high - reach.low) / 2:
+                raise LogError("log.input_ends", file=path, low=reach.low, high=reach.high, **extent)
+        found[name], share = reach, (most - least) / (reach.high - reach.low)
         if reach == PLAIN and max(-least, most) > 1 + ROUNDED:
             findings.append(weak("log.beyond_ends", **extent))
-        elif reach != PLAIN or not guess or given.low is not None:
-            continue
-        elif (most - least) * WIDE < 2:
+        elif share * WIDE <= 1 and (guess or given.low is not None):
             ends = as_map({name: _with_ends(given, ActuatorScaling.of(least, most))})
-            findings.append(weak("log.small_input", inputs=ends, **extent))
-        elif least * most >= 0:
+            facts = {"low": reach.low, "high": reach.high, "percent": 100 * share, "inputs": ends}
+            findings.append(weak("log.hardly_moved", **facts, **extent))
+        elif reach == PLAIN and guess and given.low is None and least * most >= 0:
             one_sided[name] = ActuatorScaling.of(0.0, 1.0) if most > 0 else ActuatorScaling.of(-1.0, 0.0)
     ranges = as_map({name: _with_ends(inputs[name], reach) for name, reach in (found | one_sided).items()})
     findings += [note("log.one_sided", **extents[name], inputs=ranges) for name in one_sided]

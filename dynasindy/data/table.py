@@ -376,13 +376,9 @@ def select_columns(path: Path, names: Sequence[str], dt: float | None = None) ->
         frame = frame.assign(**dict.fromkeys(dates, np.nan))
     words = {h: whole.words[h] for h in frame if h in whole.words and (h != first or h not in whole.dated)}
     for heading in frame.columns[frame.isna().all()] if len(frame) else ():
-        if heading not in words:
-            raise LogError("log.column_without_numbers", file=str(path), column=heading)
-        raise ValueError(
-            f"{path}, column {heading!r} has no number, but values such as {words[heading].text!r}; allowed are "
-            "numbers, and of time dates such as 2024-05-31 12:00:00.05 or 31.05.2024 12:00:00.05: convert the column, "
-            "words such as UP and DOWN to 1 and 0"
-        )
+        if heading in words:
+            raise LogError("log.worded_column", file=str(path), column=heading, text=words[heading].text)
+        raise LogError("log.column_without_numbers", file=str(path), column=heading)
     said = [note("log.words", line=w.line, column=h, text=w.text, count=w.count) for h, w in words.items()]
     return replace(whole.edit(frame, {}, *said), words=words, dated=whole.dated & {first})
 

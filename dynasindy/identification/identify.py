@@ -206,9 +206,8 @@ def identify(
     rates = dict(known or {})
     source = log.with_rates(rates)
     columns = {name: Column(name) for name in log.signature.state_names}
-    require_consistent_rates(source.training, source.signature, rates, columns)
+    before = require_consistent_rates(source.training, source.signature, rates, columns)
     model = build(signature=source.signature, known=known)
-    before = tuple(check_rates(source.training, source.signature, rates))
     for each in before:
         warnings.warn(str(each), stacklevel=2)
     found = fit_log(model, source)

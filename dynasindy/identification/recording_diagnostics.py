@@ -93,17 +93,13 @@ def _left_by_past(data: Transitions, both: Tensor, states: Tensor) -> Tensor:
     target = data.x_next[:, states].double()
     least = torch.full((target.shape[1],), math.nan, dtype=torch.float64)
     both = (both - both.nanmean(0)) / (both - both.nanmean(0)).square().nanmean(0).sqrt().clamp_min(1e-300)
-    lost = torch.cat([torch.zeros(1, dtype=torch.int64), both.isnan().any(-1).long().cumsum(0)])
+    place, lost = torch.arange(len(data)), both.isnan().any(-1)
+    last = torch.where(lost, place, torch.where(data.begins(), place - 1, -1)).cummax(0).values  # row that is none
     for order in ORDERS:
-        if order >= len(data):
-            break
-        rows = torch.arange(order - 1, len(data))
-        rows = rows[data.segment[rows] == data.segment[rows - order + 1]]
-        gaps = lost[rows + 1] - lost[rows + 1 - order]
-        rows = rows[(gaps == 0) & ~target[rows].isnan().any(-1)]
+        rows = ((place - last >= order) & ~target.isnan().any(-1)).nonzero().flatten()
         rows = rows[:: len(rows) // MOST_ROWS + 1]
         past = both[rows.unsqueeze(-1) - torch.arange(order)].flatten(1)
-        columns = torch.cat([torch.ones(len(rows), 1, dtype=past.dtype), past], -1)
+        columns = torch.cat([torch.ones_like(past[:, :1]), past], -1)
         pairs = torch.triu_indices(columns.shape[1], columns.shape[1])
         for trial in (columns, columns[:, pairs[0]] * columns[:, pairs[1]]):
             n, p = trial.shape

@@ -155,12 +155,7 @@ def closest_period(log: Source | None, wanted: float | None = None) -> float:
 
     Of two that are as near it is the shorter; without a log it is the one wanted. If none is wanted, it is 0.05 s, or
     ten samples of a log that is sampled faster: so is the log of a plant that is as fast.
-
-    Raises:
-        ValueError: The one wanted is not positive.
     """
-    if wanted is not None and not wanted > 0:
-        raise ValueError(f"env.dt must be a time > 0, got {wanted} s; the default is {PERIOD} s")
     if log is None:
         return wanted or PERIOD
     wanted = wanted or min(PERIOD, SAMPLES * log.training.dt)

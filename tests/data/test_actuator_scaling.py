@@ -113,11 +113,11 @@ def test_an_input_that_hardly_moved_asks_for_its_ends(tmp_path, most, small):
     """A plan would use all of -1 to 1, of which 0.08 is less than a twentieth."""
     path = written(tmp_path / "log.csv", levels(-most, most))
     found = LoggedData(path, inputs=["valve"]).recording(None)
-    assert [each.severity for each in found.findings if each.code == "log.small_input"] == ["weak"] * small
+    assert [each.severity for each in found.findings if each.code == "log.hardly_moved"] == ["weak"] * small
     if small:
         again = LoggedData(path, inputs=found.findings[1].values["inputs"]).recording(None)
         assert np.abs(again.transitions.u.numpy()).max() == pytest.approx(1.0)
-        assert "log.small_input" not in [each.code for each in again.findings]
+        assert "log.hardly_moved" not in [each.code for each in again.findings]
 
 
 def test_ends_of_minus_one_and_one_keep_the_numbers(tmp_path):
