@@ -334,15 +334,20 @@ PERIODS = {
 # --- the check of a controller ---------------------------------------------------------------------------------------
 
 
-def _margin(form: str) -> str:
+def _margin(form: str) -> Callable[..., str]:
     """Return what says a margin, its figure being in `form`."""
     least, limit = form.format("{value:.4g}"), form.format("{limit:g}")
     how = "{large:?(in large movements, which dry friction hardly damps)}"
-    return f"the least is {least} of {{input}} at ({{target:list}}){how}; threshold: {limit}"
+
+    def _said(value: float, **facts: Any) -> str:
+        first = f"the least is {least}" if math.isfinite(value) else "without limit"
+        return _fill(f"{first} of {{input}} at ({{target:list}}){how}; threshold: {limit}", {"value": value, **facts})
+
+    return _said
 
 
 STABLE = (
-    "stable at {targets} of {targets} targets of {outputs:and}; largest spectral radius {radius:.4g} at ({target:list})"
+    "stable at {targets} of {targets} targets of {outputs:and}; largest spectral radius {radius:.6g} at ({target:list})"
     ", threshold: < 1; the slowest motion there has a time constant of {slowest:time}"
 )
 UNSTABLE = (
@@ -575,7 +580,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "check.saturation": "in steps from {begin} {input} is at its limit for up to {value:percent} of {seconds:time}; "
     "threshold: {limit:percent}",
     "check.coefficients": "{plants} plants with other coefficients, {how}, at {held} targets where the model itself is "
-    "stable: {unstable} are not stable, at worst with a spectral radius of {radius:.4g} (inf: no rest); of those that "
+    "stable: {unstable} are not stable, at worst with a spectral radius of {radius:.6g} (inf: no rest); of those that "
     "come to rest a steady error of at most {error:.3g} {unit} of {output}, and {ran_away} run away in the step of "
     "steps.png; threshold: stable, {limit:.3g} {unit}",
     "check.recovery": "comes back from errors of up to {reach:g} times the typical size of each state: "

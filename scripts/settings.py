@@ -98,7 +98,7 @@ def check(cfg: DictConfig, file: str = "") -> None:
         if "train" not in tree and not file and (tree.get("data") or {}).get("path"):
             tree.pop("excitation", None)  # nothing is excited where there is a log
         if not file:  # what a run read is all that its file holds
-            _require_plant_settings(tree.get("plant"), repr(raw))
+            _require_plant_settings(tree, repr(raw))
         for key, value, hint in chain(_values(tree, PLANT), _arguments(tree), _values(tree, _hints(tree, bool(file)))):
             fit = _fit(value, hint, key)
             if repr(fit) != repr(value):  # 10 equals 10.0
@@ -111,15 +111,17 @@ def check(cfg: DictConfig, file: str = "") -> None:
         raise ValueError(f"{file}: {error}" if file else str(error)) from error
 
 
-def _require_plant_settings(plant: Any, text: str) -> None:
-    """Refuse settings of a plant that nothing reads."""
+def _require_plant_settings(tree: Any, text: str) -> None:
+    """Refuse settings of a plant that nothing reads; they may be those of another group."""
+    keys = (f"{group}.{name}" for group, node in nodes(tree) for name in node if not re.search(r"\[|^(plant|$)", group))
+    others = sorted(keys, key=lambda key: key.count("."))
     conf = " ".join(file.read_text() for file in CONF.rglob("*.yaml"))
     read = {*PLANT, "plant.functions", "plant.libraries", *re.findall(r"\bplant(?:\.\w+)+", conf + text)}
-    for group, node in nodes({"plant": plant}):
+    for group, node in nodes({"plant": tree.get("plant")}):
         allowed = {key.removeprefix(f"{group}.").partition(".")[0] for key in read if key.startswith(f"{group}.")}
         for name in node if group in ("plant", "plant.signals") else ():
             if name not in allowed:
-                raise ValueError(unknown_name(str(name), allowed, group))
+                raise ValueError(unknown_name(str(name), allowed, group, others))
 
 
 def _hints(tree: Mapping[str, Any], finished: bool) -> dict[str, Any]:

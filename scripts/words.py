@@ -153,9 +153,9 @@ def implied(settings: list[str], options: Namespace) -> list[str]:
             )
         found.append(f"hydra.run.dir={_quoted(folder)}")
     elif options.multirun and "hydra.sweep.dir" not in given:
-        own = "_".join(word for word in settings if not word.startswith("hydra"))
-        digest = hashlib.blake2b(own.encode(), digest_size=3).hexdigest()
-        readable = re.sub(r"[^A-Za-z0-9.]+", "-", own.replace("=", "-")).strip("-.")
+        own = [word for word in settings if not word.startswith("hydra")]
+        digest = hashlib.blake2b(" ".join(own).encode(), digest_size=3).hexdigest()
+        readable = re.sub(r"[^A-Za-z0-9.]+", "-", "_".join(own)).strip("-.")
         found.append(f"hydra.sweep.dir='runs/{readable[:80]}_{digest}'")
     return found
 

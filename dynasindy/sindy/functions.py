@@ -15,8 +15,8 @@ from torch import Tensor
 from dynasindy.safe_io import FileError
 from dynasindy.systems.tangents import FORMULA_FUNCTIONS, parsed
 
-LONGEST = 300
-"""Characters of a formula."""
+LONGEST = 1000
+"""Characters of a formula, also with all brackets, as files hold it."""
 _ARGUMENT = "argument_"
 """What stands for `{` and a digit while a formula is read."""
 _SIGNS: dict[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
@@ -218,6 +218,8 @@ def _read(name: str, formula: object) -> str:
             f"function {name!r}: {told!r} has no {{{lacking[0]}}}, which stands for argument {lacking[0] + 1}; write "
             "it in"
         )
+    if len(written) > LONGEST:
+        raise ValueError(f"function {name!r}: {told!r}... has {len(written)} characters with all brackets; shorten it")
     return written
 
 

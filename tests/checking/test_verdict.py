@@ -102,6 +102,13 @@ def test_the_least_margin_over_targets_decides(good, changed, name, value):
     assert (values["input"], values["target"]) == ("force", [0.4]) and values["value"] == pytest.approx(value)
 
 
+def test_a_margin_without_limit_and_a_radius_near_one_are_told_as_they_are(good):
+    found = by_name(replace(good, margins=[[Margins(3.0, 0.0, 60.0, 0.5, 1.0)]] * 2))
+    assert str(found["gain_reduction"]).startswith("without limit of force at (")
+    near = found["stability"]
+    assert "radius 0.99998 at" in str(replace(near, values={**near.values, "radius": 0.99998}))
+
+
 def test_the_threshold_of_the_steady_error_has_the_unit_of_its_value(good):
     # p counts by 2 m: a tenth of that is 0.2 m.
     found = by_name(good, Thresholds(error=0.1))

@@ -28,6 +28,8 @@ def test_a_sweep_has_the_folder_of_its_settings_wherever_its_options_stand(words
     setting, folder, *options = words.read_words("train", ["-m", "seed=0,1", "--config-dir", "own"])
     assert setting == "seed=0,1" and options == ["-m", "--config-dir", "own"]
     assert folder.startswith("hydra.sweep.dir='runs/seed-0-1_")
+    two = words.read_words("train", ["-m", "experiment=smoke", "seed=0,1"])[2]
+    assert two == "hydra.sweep.dir='runs/experiment-smoke-seed-0-1_fef842'"  # a later version goes on with it
     assert words.read_words("train", ["seed=0,1", "-m"])[1] == folder
     assert words.read_words("train", ["-m", "seed=0,2"])[1] != folder
     assert words.read_words("train", ["-m"])[0].startswith("hydra.sweep.dir=")

@@ -101,7 +101,12 @@ def test_a_key_that_is_misspelt_or_stands_elsewhere_is_offered(word, hint):
 
 @pytest.mark.parametrize(
     ("word", "meant"),
-    [("+plant.strat={theta: 1}", "'start'"), ("+plant.signals.stepp=[[0.1]]", "'step'"), ("+plant.mass=2", "'mass'")],
+    [
+        ("+plant.strat={theta: 1}", "'start'"),
+        ("+plant.signals.stepp=[[0.1]]", "'step'"),
+        ("+plant.mass=2", "'mass'"),
+        ("+plant.dt=2", "'env.dt'"),
+    ],
 )
 def test_a_setting_of_a_plant_that_nothing_reads_is_refused(word, meant):
     cfg = composed("train", "system=pendulum", word)
