@@ -503,12 +503,11 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.time_unit": "the time column {column!r} is in {unit!r}; allowed units are {units:list}, or none for s",
     "log.coarse_time": "time moves in ticks of {tick:.6g} s, {low:g} or {high:g} of them from row to row, which does "
     "not tell the sampling time: write it with more digits, or give the time between two rows in seconds as <data.dt>",
-    "log.whole_time": lambda column, step: (
-        f"whole numbers without a unit stand in the time column {column}, {step:g} from row to row, hardly seconds: "
-        f"give their unit, as in {_named_unit(column, 'us')}, or [s] for seconds, or [ms]"
+    "log.no_time_unit": lambda column, step: (
+        f"numbers without a unit stand in the time column {column}, {step:g} from row to row, hardly seconds: give "
+        f"their unit, as in {_named_unit(column, 'us')}, or [s] for seconds, or [ms], or write dates, such as "
+        "2024-05-31 12:00:00.05"
     ),
-    "log.large_time": "the time column {column} begins at {value:.15g}, which is no number of seconds; allowed are "
-    "seconds, a unit such as [ms] in the heading, or dates such as 2024-05-31 12:00:00.05: write the time so",
     "log.uneven": "no stretch of the recording has 4 samples {dt:g} s apart, which are needed: check the sampling time",
     "log.constant_input": "input {input} is constant at {value:g}: excite it, or leave it out of <data.inputs>",
     "log.input_ends": "input {input} was given low {low:g} and high {high:g}, its column goes from {least:.6g} to "

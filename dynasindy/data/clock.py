@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.data.headings import SECONDS, is_clock, named_by, parts_of, split_unit
-from dynasindy.data.table import Table
+from dynasindy.data.table import DAY, Table
 from dynasindy.findings import Finding, LogError, note, weak
 
 Array = NDArray[np.float64]
@@ -19,7 +19,6 @@ MOSTLY = 0.9
 """Part of the steps that are one of two neighbouring numbers of ticks where an even clock was rounded to ticks."""
 LATE = 10
 """Usual steps within which a counter goes on after its overflow."""
-DAY = 86400.0
 YEARS = (1.26e9, 2.21e9)
 """From 2010 to 2040, in seconds since 1970."""
 EPOCHS = {
@@ -262,11 +261,10 @@ def in_seconds(path: str, table: Table, unit: str, dt: float | None) -> tuple[Ar
     if counts and dt is not None:
         t = values * (dt / float(np.median(np.diff(values))))
         return t, [note("log.row_counter", column=name, dt=dt)]
-    if counts and (step := float(np.median(np.diff(values)))) >= 1000:  # hardly s
-        raise LogError("log.whole_time", file=path, column=heading, step=step)
-    if not unit and not table.dated and len(values) and values[0] > 3e10:  # of a time since any date
-        raise LogError("log.large_time", file=path, column=heading, value=float(values[0]))
     period, said = period_of(t) if len(t) > 1 else 0.0, list[Finding]()
+    since = len(values) and values[0] > 3e10  # of a time since any date
+    if (counts and period >= 1000) or (since and not unit and not table.dated):  # hardly s
+        raise LogError("log.no_time_unit", file=path, column=heading, step=period)
     if len(t) > 2 and (np.diff(t) >= 0).all() and (found := _fit_even_clock(path, values, seconds, dt)) is not None:
         t, period, tick = found
         said = [note("log.coarse_clock", column=name, tick=tick, dt=period)]

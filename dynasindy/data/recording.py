@@ -514,8 +514,12 @@ def _stops(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:
         value = column[rows]
         if not len(value) or np.ptp(value) == 0:
             continue
-        for end in dict.fromkeys((value.min(), value.max(), *_frozen(value))):
-            rests = [pair for pair in _runs(value == end, 5) if pair[0] == 0 or _is_stop(value, *pair)]
+        begins = np.flatnonzero(np.diff(value, prepend=np.nan))
+        runs = np.stack([begins, np.append(begins[1:], len(value))], -1)
+        runs = runs[np.diff(runs)[:, 0] >= 5]
+        for end in dict.fromkeys((value.min(), value.max(), *_frozen(value, runs))):
+            same = runs[value[runs[:, 0]] == end].tolist()
+            rests = [pair for pair in same if pair[0] == 0 or _is_stop(value, *pair)]
             # The start of a recording at rest is no stop, unless the state rests there again.
             if not any(first for first, _ in rests):
                 continue
@@ -527,22 +531,18 @@ def _stops(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:
     return mask
 
 
-def _runs(where: NDArray[np.bool_], least: int) -> list[tuple[int, int]]:
-    """Return where stretches of so many places at least begin, and where they are over."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]))).reshape(-1, 2)
-    return [(first, last) for first, last in edges.tolist() if last - first >= least]
+def _frozen(value: Array, runs: NDArray[np.int64]) -> list[float]:
+    """Return the values at which 20 samples stand that change from row to row otherwise, and jump there and away.
 
-
-def _frozen(value: Array) -> list[float]:
-    """Return the values at which 20 samples stand that change from row to row otherwise, and jump there and away."""
-    steps = np.abs(np.diff(value))
-    runs = _runs(steps == 0, 20)
-    long = sum(last - first for first, last in runs)
+    Equal samples stand in `runs`, where each begins and where it is over, `(R, 2)`.
+    """
+    steps, runs = np.abs(np.diff(value)), runs[np.diff(runs)[:, 0] > 20]
+    long = (np.diff(runs) - 1).sum()
     if not 0 < long <= 0.2 * len(value) or (steps == 0).sum() - long > FAULTY * len(value):
         return []
-    usual = np.median(steps[steps > 0])
-    inner = [(first, last) for first, last in runs if first > 0 and last < len(steps)]
-    return [float(value[first]) for first, last in inner if steps[[first - 1, last]].min() > usual]
+    inner = runs[(runs[:, 0] > 0) & (runs[:, 1] < len(value))]
+    jumps = (steps[inner - 1] > np.median(steps[steps > 0])).all(1)
+    return [float(each) for each in value[inner[jumps, 0]]]
 
 
 def _is_stop(value: Array, first: int, last: int) -> bool:

@@ -29,7 +29,7 @@ from dynasindy.identification.recording_diagnostics import low_signal_findings, 
 from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source, rates_of
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import write_json, write_text
-from dynasindy.sentences import error_of, line, lines, setting, verdict_lines
+from dynasindy.sentences import error_of, line, lines, verdict_lines
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.equations import coefficient_lines, coefficient_tables
@@ -54,20 +54,13 @@ class LoggedData(LogReader, DataSource):
     """Take data from a log, see `LogReader`; the last part of it is kept for validation.
 
     Attributes:
-        validation_share: part of the transitions that is kept for validation.
+        validation_share: part of the transitions that is kept for validation, 0 to below 1.
 
     Raises:
-        ValueError: a setting is not allowed, or the share is not between 0 and 1.
+        ValueError: a setting is not allowed.
     """
 
     validation_share: float = VALIDATION_SHARE
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0 < self.validation_share < 1:
-            raise ValueError(
-                f"{setting('data.validation_share')} is {self.validation_share}; allowed is between 0 and 1"
-            )
 
     def load(self, system: System | None, excitation: Callable[..., Excitation] | None) -> Source:
         """Read the file, and add what it lacks; of the plant names, units and ends are used, nothing of the excitation.

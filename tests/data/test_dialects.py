@@ -133,7 +133,7 @@ def test_digits_of_a_date_are_no_seconds(tmp_path):
     stamps = [time.strftime("%Y%m%d%H%M%S.%f") for time in TIMES]
     with pytest.raises(LogError) as refused:
         recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND))
-    assert refused.value.finding.code == "log.large_time"
+    assert refused.value.finding.code == "log.no_time_unit"
 
 
 @pytest.mark.parametrize(

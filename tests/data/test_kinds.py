@@ -54,7 +54,7 @@ def test_whole_numbers_that_are_hardly_seconds_ask_for_their_unit(tmp_path):
     path = tmp_path / "l.csv"
     with pytest.raises(LogError) as error:
         recording(path, "timestamp,angle,u", 183_254_000 + 1e6 * T, ANGLE, COMMAND)
-    assert error.value.finding == wrong("log.whole_time", file=str(path), column="timestamp", step=1e4)
+    assert error.value.finding == wrong("log.no_time_unit", file=str(path), column="timestamp", step=1e4)
     found = LoggedData(str(path), time="timestamp [us]").recording(None)
     assert found.transitions.dt == pytest.approx(0.01)
 
