@@ -47,7 +47,6 @@ class Identifiability:
         norms = sums.norms()[: sums.n_features]
         scaled = sums.theta() / torch.where(norms > 0, norms, 1.0)
         _, singular, directions = torch.linalg.svd(scaled)
-        singular = torch.cat([singular, torch.zeros(sums.n_features - len(singular))])
         rank = int((singular > 1e-10 * singular[0]).sum())
         weights = directions[-1]
         order = weights.abs().argsort(descending=True)

@@ -416,13 +416,13 @@ class Constraints:
             free[:, i] = False
             for name in names:
                 free[_place(library.index, name, f"world_model.allowed.{state}"), i] = True
-        for state, given in fixed.items():
-            i = _place(signature.state_index, str(state), stated_in)
-            for name, value in given.items():
-                k = _place(library.index, name, f"{stated_in}.{state}")
-                free[k, i], offset[k, i] = False, float(value)
-        for state, name in known.items():
-            i = _place(signature.state_index, str(state), "world_model.known")
-            free[:, i], offset[:, i] = False, 0.0
-            offset[_place(library.index, name, f"world_model.known.{state}"), i] = 1.0
+        rates = {state: {name: 1.0} for state, name in known.items()}
+        for key, table in ((stated_in, fixed), ("world_model.known", rates)):
+            for state, given in table.items():
+                i = _place(signature.state_index, str(state), key)
+                if table is rates:
+                    free[:, i], offset[:, i] = False, 0.0
+                for name, value in given.items():
+                    k = _place(library.index, name, f"{key}.{state}")
+                    free[k, i], offset[k, i] = False, float(value)
         return cls(free, offset)

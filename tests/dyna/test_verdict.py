@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from dynasindy.dyna.verdict import distrusted, judge_run
+from dynasindy.dyna.recorder import distrusted, judge_run
 from dynasindy.findings import note, weak
 
 HELD = {"share": {"x": 0.004}, "worst": {"x": 0.02}, "away": {}, "idle": {}}

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
-from dynasindy.dyna.verdict import judge_run
+from dynasindy.dyna.recorder import judge_run
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation import forecast as module
 from dynasindy.evaluation.forecast import Forecast, predict
