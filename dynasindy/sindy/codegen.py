@@ -73,8 +73,8 @@ class Writer:
     def __init__(self, library: Library, coefficients: Tensor) -> None:
         signature = self.signature = library.signature
         self.lines, self.written, self.constants = list[str](), dict[object, str](), list[float]()
-        names = (*signature.state_names, *signature.input_names)
-        self.variable = {name: self._variable(place) for place, name in enumerate(names)}
+        names = {"x": signature.state_names, "u": signature.input_names}
+        self.variable = {name: f"{x}[{k}]" for x, of in names.items() for k, name in enumerate(of)}
         used = (coefficients != 0).any(-1).nonzero().flatten().tolist()
         table = zip(used, coefficients[used].tolist(), strict=True)
         terms = [({f.base: f.power for f in library.features[k].factors}, row) for k, row in table]
@@ -91,10 +91,6 @@ class Writer:
         parted = (line.partition(" = ") for line in self.lines)
         text = tuple((name, formula) for name, _, formula in parted), tuple(self.results)
         return Program(self.signature.n_x, self.signature.n_u, *text, tuple(self.constants), step)
-
-    def _variable(self, place: int) -> str:
-        n_x = self.signature.n_x
-        return f"x[{place}]" if place < n_x else f"u[{place - n_x}]"
 
     def _line(self, key: object, expression: str) -> str:
         if key not in self.written:
@@ -198,15 +194,12 @@ class _TorchWriter(Writer):
         body = "".join(f"    {line}\n" for line in self.lines)
         return (
             "def field(x, u):\n"
-            "    k, z = constants(x.dtype, x.device), (*x.unbind(-1), *u.to(x.dtype).unbind(-1))\n"
+            "    k, x, u = constants(x.dtype, x.device), x.unbind(-1), u.to(x.dtype).unbind(-1)\n"
             f"{body}    return torch.stack(({', '.join(self.results)},), 0).movedim(0, -1)\n"
         )
 
-    def _variable(self, place: int) -> str:
-        return f"z[{place}]"
-
     def _zero(self) -> str:
-        return "torch.zeros_like(z[0])"
+        return "torch.zeros_like(x[0])"
 
     def _plus_product(self, total: str, a: str, b: str) -> str:
         return f"torch.addcmul({total}, {a}, {b})"

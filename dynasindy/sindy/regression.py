@@ -297,11 +297,8 @@ def least_squares(theta: Tensor, target: Tensor) -> Tensor:
 
 def fit_supported(theta: Tensor, dx: Tensor, support: Tensor) -> Tensor:
     """Return the least squares coefficients of rates `(N, n_x)` where `support` `(n_features, n_x)` is, else zero."""
-    xi, scale = torch.zeros(support.shape, dtype=theta.dtype), theta.norm(dim=0).clamp_min(1e-300)
-    for i in support.any(0).nonzero().flatten().tolist():
-        mine = support[:, i]
-        xi[mine, i] = least_squares(theta[:, mine] / scale[mine], dx[:, i]) / scale[mine]
-    return xi
+    scale = theta.norm(dim=0).clamp_min(1e-300)
+    return stlsq(theta / scale, dx, support, 0.0) / scale.unsqueeze(-1)
 
 
 def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limit: float) -> Tensor:
