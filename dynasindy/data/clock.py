@@ -28,6 +28,8 @@ EPOCHS = {
 }
 """Seconds from the beginnings of calendars to 1970, by the unit of their times: files and programs of Windows count in
 100 ns, spreadsheets, MATLAB and astronomers in days."""
+LONGEST_PART = 1 / 287
+"""Parts of a day from row to row, five minutes, beyond which times are those of a second: 144 Hz are ten minutes."""
 OVERFLOWS = (2.0**8, 2.0**16, 2.0**24, 2.0**32)
 """Sizes of counters, which begin anew there."""
 FEWEST = 10
@@ -207,7 +209,7 @@ def date_unit(values: Array) -> str:
         if ((first <= low) & (high < last)).any() and (unit != "d" or 0 < high - low < 1e-3 * len(values)):
             return unit
     step = float(np.nanmedian(np.diff(values)))
-    told = low > 0.01 and high < 1 and step > 0 and _has_digits(DAY * step, 3)
+    told = low > 0.01 and high < 1 and 0 < step <= LONGEST_PART and _has_digits(DAY * step, 3)
     return "d" if told and not (_has_digits(step, 3) or _has_digits(1 / step, 2)) else ""
 
 

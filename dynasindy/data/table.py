@@ -194,7 +194,8 @@ def _lost_code(column: Array, name: str) -> float | None:
 def _with_whole_dates(table: Table) -> Table:
     """Return a table in which a column of days and the one of the time of day, or parts of a date, are one of dates."""
     parts = {part: h for h in table.headings for part in DATE_PARTS if len(h) > 2 and part.startswith(h.lower())}
-    if {*DATE_PARTS[:3]} <= {*parts}:
+    timed = any(is_clock(heading) for heading in table.headings if heading not in parts.values())
+    if {*DATE_PARTS[:3]} <= {*parts} and not timed:
         cells = table.frame[[*parts.values()]].set_axis([*parts], axis=1)
         times = _since_1970(pd.to_datetime(cells, errors="coerce", utc=True))
         dates = pd.concat(

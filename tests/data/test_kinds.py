@@ -317,3 +317,16 @@ def test_rows_of_a_time_a_name_and_a_value_have_a_column_a_name(tmp_path, apart)
     assert (found.signature.state_names, found.signature.input_names) == (("angle", "rate"), ("u",))
     assert found.transitions.dt == pytest.approx(0.01) and len(found.transitions) >= ROWS - 3
     assert found.transitions.x.isfinite().double().mean() > 0.95
+
+
+@pytest.mark.parametrize("rate", [128, 144, 192])
+def test_seconds_of_a_short_log_are_no_parts_of_a_day(tmp_path, rate):
+    rows = np.arange(3, 120)
+    found = recording(tmp_path / "l.csv", "time,angle,u", rows / rate, ANGLE[rows], COMMAND[rows])
+    assert found.transitions.dt == pytest.approx(1 / rate)
+
+
+def test_a_date_beside_the_time_is_left_to_itself(tmp_path):
+    date = [np.full(ROWS, float(part)) for part in (2024, 5, 31)]
+    found = recording(tmp_path / "l.csv", "time,angle,u,year,month,day", T, ANGLE, COMMAND, *date)
+    assert found.transitions.dt == pytest.approx(0.01) and found.signature.state_names == ("angle",)
