@@ -357,11 +357,8 @@ def find_clock(path: Path, time: str, named: Collection[str], dt: float | None) 
     columns |= {h: table.column(h) for h in table.dated if dt is None}
     found = [h for h, column in columns.items() if _is_regular(column)]
     if dt is not None and not found and not table.dated and len(growing) == 1:  # whole numbers, by one step
-        found = [
-            h
-            for h, column in growing.items()
-            if is_counter(column) and counts(column, float(np.median(np.diff(column))))
-        ]
+        ((only, column),) = growing.items()
+        found = [only] * (is_counter(column) and counts(column, float(np.median(np.diff(column)))))
     found = [h for h in found if split_unit(h)[0] not in named]
     return found[0] if len(found) == 1 else time
 

@@ -257,8 +257,7 @@ class LogReader:
         )
         states = with_units(states, True, self.known_rates([*states]))
         inputs = with_units(inputs if plant is None else _with_actuator_ranges(inputs, plant), False)
-        finite = np.isfinite(table.frame)
-        frame = table.frame if finite.to_numpy().all() else table.frame.where(finite)
+        frame = table.frame.where(np.isfinite(table.frame))
         frame = _without_copies(_hold_inputs(frame, driving, findings), driving, findings)
         frame, whole = _with_times(frame, driving, findings)
         t, of_time = in_seconds(path, replace(table, frame=frame), unit, self.dt)
@@ -273,13 +272,9 @@ class LogReader:
             place = {"line": int(lines[k + 1]), "column": clock}
             raise LogError("log.time_order", file=path, **place, after=float(t[k + 1]), before=float(t[k]))
         columns = dict(zip(table.headings[1:], values[1:], strict=True))
-        x = {
-            name: unwrap_angle(
-                name, _without_spikes(name, columns[c.name] * c.scale, lines, findings), c.unit, findings
-            )
-            for name, c in states.items()
-            if c.name
-        }
+        measured = {name: (columns[c.name] * c.scale, c.unit) for name, c in states.items() if c.name}
+        sound = ((name, _without_spikes(name, x, lines, findings), unit) for name, (x, unit) in measured.items())
+        x = {name: unwrap_angle(name, column, unit, findings) for name, column, unit in sound}
         u = np.stack([columns[c.name] * c.scale for c in inputs.values()], -1)
         said += self._of_file(path, [*of_time, *findings])
         return _Part(path, states, inputs, t, x, u)
