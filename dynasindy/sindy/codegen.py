@@ -35,18 +35,15 @@ def generate(library: Library, coefficients: Tensor) -> Field:
         ValueError: the model has more functions than can be written.
     """
     writer = _TorchWriter(library, require_finite(library, coefficients))
-    source, constants = writer.source(), _constants(writer.constants)
+    source, values = writer.source(), writer.constants
+    # As tensors of each dtype and device in use: an operation then need not make them each time.
+    constants = cache(lambda dtype, device: tuple(torch.tensor(v, dtype=dtype, device=device) for v in values))
     scope: dict[str, Any] = {**TORCH_FUNCTIONS, "torch": torch, "constants": constants}
     exec(compile(source, "<field of a sparse model>", "exec"), scope)
     field: Field = scope["field"]
     field.__doc__ = source
     field.__dict__["step"] = library.step
     return field
-
-
-def _constants(values: list[float]) -> Callable[[torch.dtype, torch.device], tuple[Tensor, ...]]:
-    """Keep numbers as tensors of each dtype and device in use: an operation then need not make them each time."""
-    return cache(lambda dtype, device: tuple(torch.tensor(v, dtype=dtype, device=device) for v in values))
 
 
 Term = tuple[dict[Factor, int], float]  # powers of elementary functions, and the coefficient
@@ -63,7 +60,7 @@ class Writer:
         coefficients: of each sum, `(n_features, n)`, as Xi; zeros cost nothing.
 
     Attributes:
-        lines: values, each written once, in the order in which they are computed.
+        lines: names and formulas of values, each written once, in the order in which they are computed.
         results: the sums, in terms of these.
 
     Raises:
@@ -72,7 +69,7 @@ class Writer:
 
     def __init__(self, library: Library, coefficients: Tensor) -> None:
         signature = self.signature = library.signature
-        self.lines, self.written, self.constants = list[str](), dict[object, str](), list[float]()
+        self.lines, self.written, self.constants = list[tuple[str, str]](), dict[object, str](), list[float]()
         names = {"x": signature.state_names, "u": signature.input_names}
         self.variable = {name: f"{x}[{k}]" for x, of in names.items() for k, name in enumerate(of)}
         used = (coefficients != 0).any(-1).nonzero().flatten().tolist()
@@ -88,14 +85,13 @@ class Writer:
 
     def program(self, step: float | None = None) -> Program:
         """Return what was written; `step` is that of the difference equation."""
-        parted = (line.partition(" = ") for line in self.lines)
-        text = tuple((name, formula) for name, _, formula in parted), tuple(self.results)
+        text = tuple(self.lines), tuple(self.results)
         return Program(self.signature.n_x, self.signature.n_u, *text, tuple(self.constants), step)
 
     def _line(self, key: object, expression: str) -> str:
         if key not in self.written:
             self.written[key] = f"v{len(self.written)}"
-            self.lines.append(f"{self.written[key]} = {expression}")
+            self.lines.append((self.written[key], expression))
         return self.written[key]
 
     def _constant(self, value: float) -> str:
@@ -191,7 +187,7 @@ class _TorchWriter(Writer):
 
     def source(self) -> str:
         """Return the text of the function."""
-        body = "".join(f"    {line}\n" for line in self.lines)
+        body = "".join(f"    {name} = {formula}\n" for name, formula in self.lines)
         return (
             "def field(x, u):\n"
             "    k, x, u = constants(x.dtype, x.device), x.unbind(-1), u.to(x.dtype).unbind(-1)\n"
