@@ -231,7 +231,7 @@ def forecast_errors(
     # As for the linear model, the middle horizon counts: what is farther says little of where a prediction began.
     usual = [k for k in steps if k * validation.dt >= time / 10] or steps
     middle = usual[len(usual) // 2]
-    length = start_length(model, training, fit, [k for k in usual if k <= middle])
+    length = _length(model, training, fit, [k for k in usual if k <= middle])
     predicted = predict_from(model, validation, starting_states(model, validation, starts, length), later)
     linear = LinearModel.fit(training, middle, fit)
     held = _last_seen(validation)[starts].unsqueeze(1).expand_as(real)
@@ -257,17 +257,11 @@ def _horizons(model: SindyModel, data: Transitions, time: float) -> list[float]:
     return _series(max(data.dt, min(time / 10, fastest / 2)), 3 * time)
 
 
-def start_length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[int]) -> int:
+def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[int]) -> int:
     """Return on how many samples before a start its states are to be estimated, so that predictions are best.
 
     The more there are, the more of the noise is averaged. But what the model lacks, what pushes the plant and what
     grows in an unstable one spoil an estimate the more, the longer it takes. The number is doubled while that helps.
-
-    Args:
-        model: a fitted model.
-        data: what it was fitted to.
-        longest: most samples before a start.
-        steps: horizons over which predictions are to be best [samples].
     """
     lengths = [longest >> k for k in range(longest.bit_length()) if not k or longest >> k >= SHORTEST_FIT]
     starts, _ = start_rows(data, longest, steps[0])
@@ -297,6 +291,25 @@ def predict_from(model: SindyModel, data: Transitions, begin: Tensor, later: Ten
     """Return what a model predicts for some rows from states on, `(S, T, n_x)`, infinite where it runs away."""
     inputs = delay_inputs(data, model.delay).inputs_of(later)
     return _simulated(model, begin, inputs, data.dt).nan_to_num(math.inf, math.inf, -math.inf)
+
+
+def predict_ahead(model: SindyModel, training: Transitions, data: Transitions, starts: Tensor, steps: int) -> Tensor:
+    """Return what a model predicts after some rows, `(S, steps, n_x)`, infinite where it runs away.
+
+    Its states are estimated on samples before, as many as `forecast_errors` would take, or all that there are.
+
+    Args:
+        model: a fitted model.
+        training: what it was fitted to, its states those of the model.
+        data: the recording, likewise.
+        starts: rows of the last samples that are known, one segment's, `(S,)`.
+        steps: sampling times that are predicted.
+    """
+    time = characteristic(training, model.signature)
+    longest = min(max(round(time / 4 / data.dt), SHORTEST_FIT), LONGEST_FIT, int(starts.min()))
+    length = int(starts.min()) if len(starts) == 1 else _length(model, training, longest, [steps])
+    begin = starting_states(model, data, starts, length)
+    return predict_from(model, data, begin, starts.unsqueeze(-1) + torch.arange(steps))
 
 
 def start_rows(data: Transitions, before: int, after: int = 1) -> tuple[Tensor, int]:

@@ -44,14 +44,7 @@ from benchmarks.opponents import (
 from benchmarks.pysindy_regression import pysindy_of
 from benchmarks.surrogate_rig import DRY, DT, Rig, record_closed_loop
 from dynasindy.data.headings import CLOCKS, SECONDS, in_radians, plain_heading, split_unit
-from dynasindy.identification.forecast_errors import (
-    LONGEST_FIT,
-    SHORTEST_FIT,
-    characteristic,
-    predict_from,
-    start_length,
-    starting_states,
-)
+from dynasindy.identification.forecast_errors import predict_ahead
 from dynasindy.identification.identify import identify, read
 from dynasindy.identification.source import Source
 from dynasindy.safe_io import Row, write_csv
@@ -253,12 +246,7 @@ class Equations:
         training = self.source.with_states_of(self.model).training
         test = replace(self.source, training=data, validation=_none(data)).with_states_of(self.model).training
         places = [self.model.signature.state_index(name) for name in self.outputs]
-        rows, ahead, first = by * torch.from_numpy(starts), by * steps, by * int(starts.min())
-        time = characteristic(training, self.model.signature)
-        longest = min(max(round(time / 4 / test.dt), SHORTEST_FIT), LONGEST_FIT, first)
-        length = first if len(rows) == 1 else start_length(self.model, training, longest, [ahead])
-        begin = starting_states(self.model, test, rows, length)
-        path = predict_from(self.model, test, begin, rows.unsqueeze(-1) + torch.arange(ahead))
+        path = predict_ahead(self.model, training, test, by * torch.from_numpy(starts), by * steps)
         return path[:, by - 1 :: by, places].numpy() / self.factors
 
 

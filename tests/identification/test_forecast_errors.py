@@ -13,8 +13,7 @@ from dynasindy.identification.forecast_errors import (
     characteristic,
     estimate,
     forecast_errors,
-    predict_from,
-    starting_states,
+    predict_ahead,
 )
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
@@ -63,8 +62,7 @@ def test_a_linear_model_is_fitted_to_a_recording_too_short_to_compare_orders():
 @pytest.mark.parametrize("starts", [[30], [30, 400, 1390]])
 def test_a_plant_is_predicted_from_its_past_samples(starts):
     data, x = recording(delay=2)
-    rows, model = torch.tensor(starts), oscillator(2 * DT)
-    path = predict_from(model, data, starting_states(model, data, rows, 30), rows.unsqueeze(-1) + torch.arange(100))
+    path = predict_ahead(oscillator(2 * DT), data, data, torch.tensor(starts), 100)
     assert np.allclose(path, x[np.array(starts)[:, None] + np.arange(1, 101)], atol=1e-4)
 
 
