@@ -62,10 +62,14 @@ def sentence(code: str, values: Mapping[str, Any]) -> str:
         values: Numbers and names of it.
     """
     template = SENTENCES.get(code)
-    if template is None:  # of a file that another version wrote
-        return f"{code}: {', '.join(f'{name} {value}' for name, value in values.items())}"
     rest = {name: value for name, value in values.items() if name != "file"}
-    text = SETTING.sub(_named, template(**rest) if callable(template) else _fill(template, rest))
+    try:
+        text = "" if template is None else template(**rest) if callable(template) else _fill(template, rest)
+    except (KeyError, TypeError):
+        text = ""
+    if not text:  # of a file that another version wrote
+        return f"{code}: {', '.join(f'{name} {value}' for name, value in values.items())}"
+    text = SETTING.sub(_named, text)
     return f"{values['file']}: {text}" if "file" in values else text
 
 
@@ -282,10 +286,12 @@ def _tracked(
         parts = ["the task names no targets, so nothing is said of control"]
         if grew is not None:
             parts += [f"the mean return {'grew' if grew else 'did not grow'} beside that of the untrained policy"]
-    for swings, fate in ((False, "run away or do not come to rest"), (True, "do not come to rest")):
+    for swings, fate in ((False, "running away or without rest"), (True, "without rest")):
         shares = {name: each["share"] for name, each in away.items() if each["swings"] == swings}
         if shares:
-            parts.append(f"not tracked, {_few(shares)} {fate} in up to {_percent(max(shares.values()))} of the runs")
+            parts.append(
+                f"not tracked, and {fate} in up to {_percent(max(shares.values()))} of the runs: {_few(shares)}"
+            )
     parts += [_track_rates(rates, targets)] if targets else []
     parts += [f"still ringing, decaying: {_few(ringing)}"] if ringing else []
     parts += [f"running on, which nothing depends on: {_few(idle)}"] if idle else []

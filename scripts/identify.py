@@ -81,7 +81,8 @@ def next_command(cfg: Any, found: Identified) -> str:
     of_data = () if source.logged else ("data", "refinement", "source")  # what is said of simulated data
     plan = without(job.overrides.task, "folder", "hydra", "formats", *of_data)
     plan += [command_word(f"plant.{key}", values) for key, values in targets.items()]
-    return command_line("train", plan, f"{mend}plans a controller for these targets, in the units of the states")
+    does = "plans a controller for these targets, in the units of the states"
+    return command_line("train", plan, mend + (does if targets else "excites, identifies and plans in one go"))
 
 
 if __name__ == "__main__":

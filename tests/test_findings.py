@@ -11,7 +11,7 @@ import yaml
 
 import dynasindy
 from dynasindy.findings import Finding, LogError, note, records, weak, wrong
-from dynasindy.sentences import SENTENCES, lines, setting
+from dynasindy.sentences import SENTENCES, lines, sentence, setting
 
 PACKAGE = Path(dynasindy.__file__).parent
 CODE = re.compile(r'"((?:log|fit|model|forecast|control|check|run|plant|excitation)\.[a-z_]+)"')
@@ -61,3 +61,8 @@ def test_a_setting_is_what_the_reader_can_give(monkeypatch, value):
     monkeypatch.setattr("dynasindy.sentences._words_of_commands", True)
     key, _, text = setting("data.states", value).strip("'").partition("=")
     assert key == "data.states" and yaml.safe_load(text) == value
+
+
+@pytest.mark.parametrize("code", ["run.gate_closed", "check.slew", "check.stability", "run.tracked", "control.period"])
+def test_a_finding_of_another_version_says_what_it_holds(code):
+    assert sentence(code, {"unlike": 2}) == f"{code}: unlike 2"

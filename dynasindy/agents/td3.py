@@ -41,7 +41,7 @@ CHECK_EVERY = 100
 """Updates between two looks at the losses on a device that works apart from the CPU, which each look would halt."""
 
 
-@dataclass(frozen=True, config={"strict": True, "allow_inf_nan": False})
+@dataclass(frozen=True, config={"strict": True, "allow_inf_nan": False, "extra": "forbid"})
 class Hyperparameters:
     """Everything that can be set about the agent; the defaults are the paper's, then TD3's.
 

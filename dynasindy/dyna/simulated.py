@@ -39,7 +39,7 @@ LONGEST = 1e8
 """Steps of a simulated plant, beyond which a recording would take days."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config={"extra": "forbid"})
 class Simulated(DataSource):
     """Take data from a simulated plant.
 

@@ -38,7 +38,7 @@ SUMMARY = {
 """Columns of the readable table, and their words."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config={"extra": "forbid"})
 class Level:
     """The level that a setting has to reach, fixed before the runs.
 

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from typing import Annotated, TypedDict, Unpack
 
 import torch
-from pydantic import Field, validate_call
+from pydantic import Field, SkipValidation, validate_call
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from dynasindy.limits import check_memory
 
-Levels = float | Sequence[float]
+Levels = Annotated[float | Sequence[float], SkipValidation]  # arrays, too
 Share = Annotated[float, Field(gt=0, le=1)]
 
 

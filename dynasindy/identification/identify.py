@@ -193,7 +193,7 @@ def identify(
             state, counts the other way, or was exchanged with it.
         Diverged: A coefficient is not finite.
     """
-    refinement = Refinement(method, longest_delay=longest_delay, seconds=seconds)
+    refinement = Refinement(method=method, longest_delay=longest_delay, seconds=seconds)
     regression = Regression("bic", tolerance=1e-4)
     build = partial(SindyModel, library=library, regression=regression, refinement=refinement, time=time)
     rates = dict(known or {})

@@ -40,7 +40,7 @@ class Channel:
         return self.noise**2 + self.resolution**2 / 12
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config={"extra": "forbid"})
 class Sensors:
     """What lies between the real plant and all that learns from it or controls it.
 

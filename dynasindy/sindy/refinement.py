@@ -59,7 +59,7 @@ Model = tuple[Library, Tensor]
 """A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
 
-@pydantic.dataclasses.dataclass(frozen=True)
+@pydantic.dataclasses.dataclass(frozen=True, config={"extra": "forbid"})
 class Refinement:
     """Settings of the refinement.
 

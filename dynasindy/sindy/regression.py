@@ -246,7 +246,7 @@ class RunningSums:
         return (self.targets() - self.theta() @ coefficients).norm(dim=0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config={"extra": "forbid"})
 class Regression:
     """Settings of a sparse regression.
 

@@ -21,7 +21,7 @@ ERROR_SHAPES: dict[str, Callable[[Tensor, float], Tensor]] = {
 Weight = Annotated[float, Field(ge=0)]
 
 
-@dataclass(frozen=True, config={"allow_inf_nan": False})
+@dataclass(frozen=True, config={"allow_inf_nan": False, "extra": "forbid"})
 class TrackingReward:
     """reward = -(a e_a^2 + b e_p^2) - c (dOmega_a^2 + dOmega_p^2) + d   (paper, reward function).
 

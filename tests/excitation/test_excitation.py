@@ -19,6 +19,12 @@ def test_signals_stay_within_offset_and_amplitude(kind):
     assert bool(((u - torch.tensor([-0.1, 0.3])).abs() <= torch.tensor([0.3, 0.2]) + 1e-6).all())
 
 
+@pytest.mark.parametrize("make", [np.array, torch.tensor, list])
+def test_levels_may_be_an_array(make):
+    excitation = Aprbs(2, amplitude=make([0.3, 0.2]), offset=make([-0.1, 0.3]))
+    assert excitation.amplitude.tolist() == pytest.approx([0.3, 0.2])
+
+
 @pytest.mark.parametrize("kind", MOVING)
 def test_inputs_are_told_apart(kind):
     """The same signal on two inputs would be correlated by 1."""

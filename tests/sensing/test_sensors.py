@@ -5,8 +5,14 @@ import math
 import pytest
 import torch
 
+from dynasindy.agents import Hyperparameters
+from dynasindy.dyna.simulated import Simulated
+from dynasindy.evaluation.ablation import Level
 from dynasindy.sensing import Channel, Sensors
+from dynasindy.sindy.refinement import Refinement
+from dynasindy.sindy.regression import Regression
 from dynasindy.systems import Pendulum, Signature
+from dynasindy.tasks import TrackingReward
 
 SIGNATURE = Signature(("a", "b", "c"), ("rad", "rad/s", "rpm"), ("u",), (1.0, 2.0, 1000.0))
 
@@ -68,3 +74,17 @@ def test_exact_sensors_measure_all_states_as_they_are():
     x = torch.tensor([[0.123456789, -4.0]], dtype=torch.float64)
     assert torch.equal(sensors.read(x, signature, torch.Generator().manual_seed(0)), x)
     assert sensors.variance(signature).tolist() == [0.0, 0.0]
+
+
+def test_a_setting_that_does_not_exist_is_refused():
+    for build, own in (
+        (Sensors, {"channels": {"angle": {}}, "dely": 2}),
+        (Refinement, {"windw": 2}),
+        (Regression, {"treshold": 1.0}),
+        (Simulated, {"sample": 2}),
+        (Hyperparameters, {"gama": 0.9}),
+        (TrackingReward, {"weight": 1.0}),
+        (Level, {"errors": 0.1}),
+    ):
+        with pytest.raises(ValueError, match=[*own][-1]):
+            build(**own)
