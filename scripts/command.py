@@ -227,7 +227,8 @@ def one_line(cfg: DictConfig | None = None) -> Iterator[None]:
         traceback.clear_frames(error.__traceback__)  # what they hold may be the memory that is missing
         line = f"error: {words}"
         with suppress(OSError):  # the disk may be what is wrong
-            folder, swept = _output() if HydraConfig.initialized() else (Path.cwd(), False)
+            begun = HydraConfig.initialized() and not OmegaConf.is_missing(HydraConfig.get().runtime, "output_dir")
+            folder, swept = _output() if begun else (Path.cwd(), False)
             finished = (folder / "metrics.json").is_file()
             # Who gave the command has read the line; a job of a sweep always leaves its own.
             if folder.is_dir() and folder.resolve() != Path.cwd() and (swept or not finished):

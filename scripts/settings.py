@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_or
 
 from cli import CONF
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import InterpolationToMissingValueError
+from omegaconf.errors import InterpolationResolutionError, InterpolationToMissingValueError
 from pydantic import (
     AfterValidator,
     BeforeValidator,
@@ -107,6 +107,9 @@ def check(cfg: DictConfig, file: str = "") -> None:
             register_function(name, formula)  # of the user's own, which the library of the plant may hold
     except InterpolationToMissingValueError:  # a log's config names no plant yet, and the command says which there are
         return
+    except InterpolationResolutionError as error:
+        what = f"{error.full_key} is taken from what is not given, or no group of keys"
+        raise ValueError(f"{file}: {what}; give the keys as conf/ does".removeprefix(": ")) from error
     except ValueError as error:
         raise ValueError(f"{file}: {error}" if file else str(error)) from error
 

@@ -63,8 +63,10 @@ def as_text(word: str) -> str:
         return word
     if value[0] == "[" and value[-1] == "]":
         items = [item.strip() for item in re.split(r",(?![^\[({]*[\])}])", value[1:-1])]
-        return f"{key}=[{','.join(item if _parses(f'{key}={item}') else _quoted(item) for item in items)}]"
-    return word if value[0] in "[{('\"" else f"{key}={_quoted(value)}"
+        made = f"{key}=[{','.join(item if _parses(f'{key}={item}') else _quoted(item) for item in items)}]"
+    else:
+        made = word if value[0] in "[{('\"" else f"{key}={_quoted(value)}"
+    return made if _parses(made) else word
 
 
 def _parses(word: str) -> bool:

@@ -187,3 +187,10 @@ def test_what_is_refused_costs_one_line_and_leaves_no_folder(tmp_path, command, 
     (line,) = done.stderr.strip().split("error: ")[1:]
     assert (done.returncode, named in " ".join(line.split())) == (2, True), done.stderr
     assert "usage" not in done.stderr and not [*tmp_path.rglob("*.*")]
+
+
+def test_a_value_in_the_place_of_a_group_that_others_read_is_refused_in_plain_words():
+    with pytest.raises(ValueError, match="no group of keys; give the keys as conf/ does"):
+        check(composed("train", "plant=3"))
+    with pytest.raises(ValueError, match=r"^run/config.yaml: .*no group of keys"):
+        check(composed("train", "plant=3"), "run/config.yaml")
