@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
+from typing import Any
 
 from tensordict import TensorDict
 
@@ -53,9 +54,10 @@ class Place:
         """Return it as plain numbers."""
         return asdict(self)
 
-    def load_state_dict(self, state: dict[str, int]) -> None:
-        """Restore what `state_dict` returned."""
-        self.number, self.real_steps, self.imagined, self.updates = (state[each.name] for each in fields(self))
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned; earlier versions had the cost in a group."""
+        whole = {**state, **state.get("cost", {})}
+        self.number, self.real_steps, self.imagined, self.updates = (whole[each.name] for each in fields(self))
 
 
 @dataclass(frozen=True)
