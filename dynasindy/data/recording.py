@@ -190,7 +190,13 @@ class LogReader:
         findings += (note("log.unmeasured", state=name) for name in states if name not in parts[0].x)
         self._require_enough(data, states, findings)
         units = tuple(c.unit for c in states.values())
-        scale = tuple(size or 1.0 for size in sizes.tolist())
+        most = dict(zip(states, sizes.tolist(), strict=True))
+        if tiny := [name for name, size in most.items() if 0 < size < 1e-19]:
+            raise ValueError(
+                f"{self}: '{tiny[0]}' has values up to {most[tiny[0]]:.1g}, whose squares no number holds; give it a "
+                f"scale in {setting('data.states')}, or leave it out"
+            )
+        scale = tuple(size or 1.0 for size in most.values())
         reach = actuator_units(ranges, [column.unit for column in inputs.values()])
         signature = Signature(tuple(states), units, tuple(inputs), scale, **reach)
         require_consistent_rates(data, signature, self.known_rates([*states]), states, str(self))
