@@ -552,7 +552,7 @@ class _Search:
                     if time.process_time() - began > SHARE * self.refinement.seconds:
                         return best
                     signals = ", ".join(s for n, s in lagging.followed.items() if n not in last.model.followed)
-                    what, models = f"{last.what}, what follows {signals}", self._each(lagging)
+                    what, models = f"{last.what}, states that follow {signals}", self._each(lagging)
                     data = last.source.with_unmeasured(lagging.signature)
                     found = self._fit(what, models, data, self._settings(select=False), of.structure)
                     best, self.lag_seconds = _better(best, found), time.process_time() - began
@@ -588,9 +588,10 @@ class _Search:
             found = self._again(f"{what} with a penalty of {penalty:g}", last, replace(settings, penalty=penalty))
             if found is None:
                 break
-            if found.equations == last.equations:  # what is not worth the lower price is not worth the higher one
-                return found if best is None else _better(best, found)
+            same = found.equations == last.equations
             last, best = found, found if best is None else _better(best, found)
+            if same:  # what is not worth the lower price is not worth the higher one
+                break
         return best
 
     def _regressed(self, model: SindyModel, source: Source) -> None:

@@ -94,7 +94,7 @@ def lag_state_candidates(model: SindyModel, data: Transitions) -> list[SindyMode
             continue
         delay, time = best = min(costs, key=costs.__getitem__)
         gain, count = plain - costs[best], len(rows[best][0])
-        # Of two numbers more each is worth half of that; what hardly lags stands for a rate, which explains itself.
+        # The time, and each state, are a number more; what hardly lags stands for a rate, which explains itself.
         if gain > (1 + lags) / 2 * math.log(count) and (signals[0] in inputs or time > times[0]):
             wide.initial, wide.initial_delay = _solved(wide, rows[best], time, lags), delay
             found.append((gain / count, wide))
@@ -108,6 +108,7 @@ def _moved(model: SindyModel, i: int) -> tuple[int, bool]:
 
 
 def _level(guess: Transitions, names: Signature, signal: str) -> Tensor:
+    """Return the mean of a signal over each interval, `(N,)`."""
     if signal in names.input_names:
         return guess.mean_inputs[:, names.input_names.index(signal)]
     return 0.5 * (guess.x + guess.x_next)[:, names.state_index(signal)]

@@ -12,7 +12,7 @@ import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -157,9 +157,7 @@ def detuned(constants: TrasConstants, spread: float, seed: int) -> TrasConstants
     """Return constants, each times a factor of its own, uniform in [1 - spread, 1 + spread]."""
     rng = random.Random(seed)
 
-    def _off(value: float) -> float:
-        return value * (1 + spread * rng.uniform(-1, 1))
+    def _off(value: Any) -> Any:
+        return tuple(map(_off, value)) if isinstance(value, tuple) else value * (1 + spread * rng.uniform(-1, 1))
 
-    values = {field.name: getattr(constants, field.name) for field in fields(constants)}
-    changed: dict[str, Any] = {k: tuple(map(_off, v)) if isinstance(v, tuple) else _off(v) for k, v in values.items()}
-    return TrasConstants(**changed)
+    return replace(constants, **{field.name: _off(getattr(constants, field.name)) for field in fields(constants)})
