@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -213,25 +212,28 @@ class HoldOut:
         last = min(2 * reach // 3, max(round(SLOWEST * slow / data.dt), FARTHEST), LIMIT)
         if before < 3 or last < 2:
             return None
-        first = min(max(1, round(SOONEST * slow / data.dt)), last)
-        steps = sorted({round(k) for k in np.geomspace(first, last, HORIZONS).tolist()})
-        starts, _ = start_rows(kept, before, steps[-1])
+        starts, _ = start_rows(kept, before, last)
         starts = starts[torch.linspace(0, len(starts) - 1, min(STARTS, len(starts))).long().unique()]
-        later, real = samples_after(kept, starts, steps[-1])
+        later, real = samples_after(kept, starts, last)
         pairs = (fit, kept), (fit.with_linear_inputs(), kept.with_linear_inputs())
-        linear = (m.predict(own, starts, later) for data, own in pairs for m in LinearModel.candidates(data, before))
-        simple = chain(linear, [reconstruct(kept, {}).x[starts].unsqueeze(1).expand_as(real)])
-        errors = torch.stack([errors_over(guess, real, steps) for guess in simple])
+        linear = [m.predict(own, starts, later) for data, own in pairs for m in LinearModel.candidates(data, before)]
+        held = reconstruct(kept, {}).x[starts].unsqueeze(1).expand_as(real)
         deviation = variance(data.x_next).sqrt()
         spread = (data.x_next - data.x_next.nanmean(0)).abs().nan_to_num().amax(0)
         floor = torch.maximum(resolution, EXACT * spread)
-        if len(errors) > 1:
+        steps = _horizons(last, SOONEST * slow / data.dt)
+        if linear:
             # How far ahead an unstable plant can be predicted, the linear model tells that is the best one at first: in
             # closed loop those that are better far ahead are stable, as the plant is not.
-            share = (errors[:-1] / deviation).log().nanmean(-1)
+            errors = torch.stack([errors_over(guess, real, steps) for guess in linear])
+            share = (errors / deviation).log().nanmean(-1)
             best = share[share[:, 0].nan_to_num(math.inf).argmin()]
-            steps = steps[: max(2, int((best < math.log(FORGOTTEN)).long().cumprod(0).sum()))]
-        later, real, errors = later[:, : steps[-1]], real[:, : steps[-1]], errors[:, : len(steps)]
+            known = int((best < math.log(FORGOTTEN)).long().cumprod(0).sum())
+            if known < len(steps):
+                last = steps[max(1, known - 1)]
+                steps = _horizons(last, SOONEST / SLOWEST * last)
+        errors = torch.stack([errors_over(guess, real, steps) for guess in [*linear, held]])
+        later, real = later[:, : steps[-1]], real[:, : steps[-1]]
         return cls(early, kept, steps, starts, later, real, before, errors, floor)
 
     @cached_property
@@ -699,6 +701,11 @@ class _Search:
             return []
         name, seconds = best.source.signature.state_names[i], fold.steps[k] * best.source.training.dt
         return [weak("fit.behind", state=name, seconds=seconds, factor=float(behind[k, i]))]
+
+
+def _horizons(last: int, first: float) -> list[int]:
+    """Return horizons up to the last one [samples]."""
+    return sorted({round(k) for k in np.geomspace(min(max(1, round(first)), last), last, HORIZONS).tolist()})
 
 
 def _builder_of(model: SindyModel) -> LibraryBuilder | None:
