@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import chain
 
 import torch
@@ -17,7 +16,6 @@ from dynasindy.planning import ModelError, replay_error
 from dynasindy.progress import report_progress
 from dynasindy.sindy import WorldModel
 from dynasindy.systems import Diverged
-from dynasindy.systems.transitions import Transitions
 
 WINDOW = 20
 """Control periods of a held-out window: an imagined rollout."""
@@ -59,22 +57,6 @@ def _fit(parts: Components, held_out: Tensor | None = None) -> object:
     following = rows["next"]
     parts.plant.task.learn(rows["state"], rows["action"], following["state"], following["reward"].squeeze(-1))
     return report
-
-
-def _added(parts: Components, data: Transitions) -> object:
-    """Fit the world model to its earlier data and to new transitions, and return its report."""
-    report_progress("fit")
-    report = parts.world_model.update(data) if len(data) else None  # all of them may have touched a stop
-    _require_finite(parts.world_model, math.ceil(len(data) / data.substeps))
-    return report
-
-
-def _adds(parts: Components) -> bool:
-    """Return whether the fit to all real data may be had at the cost of the newest ones."""
-    real, learns = parts.replay.real, parts.plant.task.learns  # a reward is told by all data
-    kept = len(real) < real.storage.max_size  # a full ring has lost its oldest data, as a fit to it has
-    seen = parts.sensing is None  # else what is estimated of a row depends on its neighbours
-    return parts.world_model.additive and seen and not learns and kept
 
 
 def _require_finite(model: WorldModel, count: int) -> None:
@@ -120,12 +102,11 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
         return Refit(first_fit(parts, rollout), torch.nan, torch.nan, True, unseen)
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
     held_out[(starts.unsqueeze(-1) + torch.arange(WINDOW)).flatten()] = True
-    adds, take_back = _adds(parts), parts.world_model.kept()
-    logged = partial(transitions, rollout, parts.model_env.log_dt) if adds else None
+    take_back = parts.world_model.kept()
     before, shown_for = replay_error(parts.model_env, rollout, starts, WINDOW), parts.world_model.delay
     report: object
     try:
-        report = _fit(parts, held_out) if logged is None else _added(parts, logged(~held_out))
+        report = _fit(parts, held_out)
         later = (parts.world_model.delay - shown_for) / parts.plant.dt
         after = replay_error(parts.model_env, _acting(rollout, later), starts, WINDOW)
         kept = after.state_error <= max(WORSE * before.state_error, NEGLIGIBLE)
@@ -135,9 +116,6 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
         take_back()
         if parts.plant.task.own:  # a reward is told by all data, whatever became of the model: the gate judges both
             before = replay_error(parts.model_env, rollout, starts, WINDOW)
-    if logged is not None:
-        # The next refit reads what this one was tested by, and what one that was taken back was made of.
-        parts.world_model.absorb(logged(held_out if kept else None))
     _observe(parts, rollout)
     return Refit(report, before.state_error, after.state_error, kept, after if kept else before)
 

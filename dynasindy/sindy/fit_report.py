@@ -14,7 +14,7 @@ from dynasindy.sentences import line
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.equations import change_of
 from dynasindy.sindy.library import Library
-from dynasindy.sindy.regression import RunningSums
+from dynasindy.sindy.regression import TriangularFactor
 
 CLEAR = 1e6
 """Condition number below which functions are well apart."""
@@ -37,15 +37,15 @@ class Identifiability:
     weakest: tuple[tuple[str, float], ...]
 
     @classmethod
-    def of(cls, library: Library, sums: RunningSums) -> Identifiability:
-        """Judge the samples behind running sums.
+    def of(cls, library: Library, factor: TriangularFactor) -> Identifiability:
+        """Judge the samples behind a regression.
 
         Args:
             library: candidate functions.
-            sums: the samples.
+            factor: the samples.
         """
-        norms = sums.norms()[: sums.n_features]
-        scaled = sums.theta() / torch.where(norms > 0, norms, 1.0)
+        norms = factor.norms()[: factor.n_features]
+        scaled = factor.theta() / torch.where(norms > 0, norms, 1.0)
         _, singular, directions = torch.linalg.svd(scaled)
         rank = int((singular > 1e-10 * singular[0]).sum())
         weights = directions[-1]
@@ -54,7 +54,7 @@ class Identifiability:
         if bool((norms == 0).any()):
             weakest = [(library.names[k], 1.0) for k in (norms == 0).nonzero().flatten().tolist()]
         condition = float(singular[0] / singular[-1]) if float(singular[-1]) > 0 else float("inf")
-        return cls(rank, sums.n_features, condition, tuple(weakest))
+        return cls(rank, factor.n_features, condition, tuple(weakest))
 
     def to_text(self) -> str:
         """Write which functions the data can tell apart, in one line."""
@@ -114,7 +114,7 @@ class FitReport:
     seconds: float
     terms: dict[str, int]
     residual: dict[str, float]
-    _source: tuple[Library, Tensor, RunningSums] = field(repr=False)
+    _source: tuple[Library, Tensor, TriangularFactor] = field(repr=False)
     findings: tuple[Finding, ...] = ()
     dt: float | None = None
     covariance: Covariance | None = field(default=None, repr=False)
@@ -124,25 +124,25 @@ class FitReport:
         cls,
         library: Library,
         coefficients: Tensor,
-        sums: RunningSums,
+        factor: TriangularFactor,
         seconds: float,
         residual: dict[str, float] | None = None,
         **more: Any,
     ) -> FitReport:
-        """Summarise the coefficients of a fit against the sums it was made from, but for what is given."""
-        relative = sums.residual(coefficients) / sums.norms()[sums.n_features :].clamp_min(1e-300)
-        names, source = library.signature.state_names, (library, coefficients.clone(), copy(sums))
+        """Summarise the coefficients of a fit against the factor it was made from, but for what is given."""
+        relative = factor.residual(coefficients) / factor.norms()[factor.n_features :].clamp_min(1e-300)
+        names, source = library.signature.state_names, (library, coefficients.clone(), copy(factor))
         terms = dict(zip(names, (coefficients != 0).sum(0).tolist(), strict=True))
         residual = residual or dict(zip(names, relative.tolist(), strict=True))
-        return cls(**{"samples": sums.count} | more, seconds=seconds, terms=terms, residual=residual, _source=source)
+        return cls(**{"samples": factor.count} | more, seconds=seconds, terms=terms, residual=residual, _source=source)
 
     def told_apart(self) -> Tensor:
         """Return the part of each function that the others of its equation leave over, 0 to 1, `(n_features, n_x)`.
 
         Of a function of which they leave over next to nothing, the data do not tell the coefficient: large ones cancel.
         """
-        _, coefficients, sums = self._source
-        scaled, parts = sums.theta(), torch.zeros_like(coefficients)
+        _, coefficients, factor = self._source
+        scaled, parts = factor.theta(), torch.zeros_like(coefficients)
         scaled = scaled / scaled.norm(dim=0).clamp_min(1e-300)
         for i in range(coefficients.shape[1]):
             active = coefficients[:, i].nonzero().flatten()
@@ -173,7 +173,7 @@ class FitReport:
         each = f" of {self.dt:g} s" if self.dt else ""
         lines = [f"fit of {self.samples} transitions{each}, which took {self.seconds:.3g} s"]
         counts = {name: f"{count} term{'s' * (count != 1)}" for name, count in self.terms.items()}
-        library, _, sums = self._source
+        library, _, factor = self._source
         moves, it = ("'", "it") if library.step is None else ("[k+1] - {0}[k]", f"it, {CHANGE},")
         simulated = any(each.code == "fit.trajectories" for each in self.findings)  # then it is noise of single samples
         for state, part in self.residual.items():
@@ -183,4 +183,4 @@ class FitReport:
             lines.append(f"  {state}{moves.format(state)}: {counts[state]}{missed}")
         known = [str(each) for each in self.accuracy]
         findings = map(line, self.findings)
-        return "\n".join([*lines, *known, *findings, Identifiability.of(library, sums).to_text()])
+        return "\n".join([*lines, *known, *findings, Identifiability.of(library, factor).to_text()])

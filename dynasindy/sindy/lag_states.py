@@ -28,7 +28,7 @@ from dynasindy.sindy.delay import delay_inputs, rows_after_delay, unexplained
 from dynasindy.sindy.library import Library, of
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.reconstruction import BRIEF, RegressionData, rate_states, reconstruct
-from dynasindy.sindy.regression import Rows, RunningSums, weak_form
+from dynasindy.sindy.regression import Rows, TriangularFactor, weak_form
 from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -149,9 +149,8 @@ def _columns(model: SindyModel, rows: Rows, given: Tensor, lags: int) -> tuple[T
 
 def _solved(wide: SindyModel, rows: Rows, time: float, lags: int) -> Tensor:
     """Return the coefficients that the regression of a model finds."""
-    sums = RunningSums(rows[0].shape[1], wide.signature.n_x)
-    sums.add(rows)
-    found = wide.regression.solve(sums, *_columns(wide, rows, wide.constraints.offset, lags))[: len(wide.library)]
+    columns = _columns(wide, rows, wide.constraints.offset, lags)
+    found = wide.regression.solve(TriangularFactor(rows), *columns)[: len(wide.library)]
     found[-lags:, -lags:] = torch.eye(lags) / time
     return found
 

@@ -21,7 +21,7 @@ from torch import Tensor
 from dynasindy.sindy.equations import format_sum
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.named_libraries import LibraryBuilder, build_library
-from dynasindy.sindy.regression import Regression, RunningSums
+from dynasindy.sindy.regression import Regression, TriangularFactor
 from dynasindy.systems import Diverged, Signature
 from dynasindy.tasks import Task
 
@@ -167,8 +167,8 @@ class LearnedReward(Task):
 
     def _fitted(self, x: Tensor, u: Tensor, paid: Tensor, spread: float, later: bool) -> tuple[float, bool, Tensor]:
         """Return what a sparse fit to states and inputs leaves over, and its coefficients."""
-        theta, sums = self.library(x, u), RunningSums(len(self.library), 1)
-        sums.add((theta, paid.unsqueeze(-1)))
+        theta = self.library(x, u)
+        factor = TriangularFactor((theta, paid.unsqueeze(-1)))
         everywhere = torch.ones(len(self.library), 1, dtype=torch.bool)
-        w = REGRESSION.solve(sums, everywhere, torch.zeros(len(self.library), 1).double()).squeeze(-1)
+        w = REGRESSION.solve(factor, everywhere, torch.zeros(len(self.library), 1).double()).squeeze(-1)
         return float((theta @ w - paid).square().mean().sqrt()) / spread, later, w

@@ -17,8 +17,7 @@ from __future__ import annotations
 import copy
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -51,7 +50,7 @@ from dynasindy.sindy.reconstruction import (
     simulate_hidden_states,
 )
 from dynasindy.sindy.refinement import Refinement
-from dynasindy.sindy.regression import DEPENDENT, SAMPLES_EACH, Regression, Rows, RunningSums
+from dynasindy.sindy.regression import DEPENDENT, SAMPLES_EACH, Regression, Rows, TriangularFactor
 from dynasindy.sindy.shooting import (
     CHOSEN_STRETCHES,
     COARSE,
@@ -64,7 +63,7 @@ from dynasindy.sindy.world_model import WorldModel
 from dynasindy.systems.base import PRECISIONS, Diverged, Signature
 from dynasindy.systems.integrators import moved, plain, trajectory
 from dynasindy.systems.machine import Machine
-from dynasindy.systems.steps import ALIKE, UNTOLD
+from dynasindy.systems.steps import UNTOLD
 from dynasindy.systems.transitions import Transitions
 
 FORMAT = "dynasindy sparse model 1"
@@ -153,7 +152,7 @@ class SindyModel(WorldModel):
         guess = Constraints.build(self.library, {}, {}, initial or {}, "plant.initial").offset
         self.initial = None if initial is None else guess
         self.initial_delay: float | None = None  # of the inputs in that guess [s]; None: not known
-        self.sums = RunningSums(len(self.library), signature.n_x)
+        self.samples = 0  # of the latest fit
         self.coefficients = self.constraints.offset.clone()
         self.covariance: Covariance | None = None
 
@@ -261,10 +260,9 @@ class SindyModel(WorldModel):
         return {names.index(name): names.index(s) for name, s in self.followed.items() if s in names}
 
     def get_extra_state(self) -> dict[str, object]:
-        """Return what `state_dict` keeps besides the coefficients: the running sums, the fitted factors, the delay."""
+        """Return what `state_dict` keeps besides the coefficients, as the fitted factors and the delay."""
         return {
-            "r": self.sums.r,
-            "count": self.sums.count,
+            "count": self.samples,
             "places": self.places,
             "shapes": [shape.frequency for shape in self.library.shapes],
             "delay": self.delay,
@@ -283,8 +281,7 @@ class SindyModel(WorldModel):
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore what `get_extra_state` returned."""
-        self.sums = RunningSums(len(self.library), self.signature.n_x)
-        self.sums.r, self.sums.count = state["r"].clone(), state["count"]
+        self.samples = state["count"]
         self.library = self.library.with_shapes(state["shapes"]).with_step(state.get("step"))
         self.covariance = (known := state.get("covariance")) and Covariance(*known)  # not in older states
         self.delay, self._field_of = state["delay"], None
@@ -302,13 +299,17 @@ class SindyModel(WorldModel):
             ValueError: there are fewer samples than functions, or a sample is not finite; the model stays as it was.
             Diverged: a coefficient is not finite; the model stays as it was.
         """
-        with self._whole():
-            chosen = self._choose_time(transitions) if self._either is not None and not self.sums.count else ()
+        go_back = self.kept()
+        try:
+            chosen = self._choose_time(transitions) if self._either is not None and not self.samples else ()
             if again := self._cuts and 0 < len(self.places) == len(self.library):
                 self._keep([])  # other data may need other functions
             self.library = self.library.with_step(None if self.step is None else UNTOLD)
             report = self._identify(transitions, again)
             return replace(report, findings=(*chosen, *report.findings))
+        except BaseException:
+            go_back()
+            raise
 
     def _choose_time(self, transitions: Transitions) -> tuple[Finding, ...]:
         """Take difference equations where they predict the last quarter of the data clearly better."""
@@ -337,58 +338,12 @@ class SindyModel(WorldModel):
             self._uncut = self._uncut[0].with_step(UNTOLD if discrete else None), self._either[discrete]
             self._keep([])
 
-    def update(self, transitions: Transitions) -> FitReport:
-        """Identify an `additive` model anew from all earlier data and new transitions, at the cost of the new ones.
-
-        Raises:
-            NotImplementedError: the model is not additive.
-            ValueError: samples are too few, not finite, or not a step of the equation apart; the model stays as it was.
-            Diverged: a coefficient is not finite; the model stays as it was.
-        """
-        if not self.additive:
-            return super().update(transitions)
-        if self._either is not None and not self.sums.count:
-            return self.fit(transitions)  # which of both kinds of equations it has is not known yet
-        start = time.perf_counter()
-        with self._whole():
-            self.absorb(transitions)
-            self._solve(self.sums)
-        seconds, dt = time.perf_counter() - start, self.step or transitions.dt
-        return FitReport.of(self.library, self.coefficients, self.sums, seconds, dt=dt)
-
-    @property
-    def additive(self) -> bool:
-        """Whether `update` equals a fit to all data, as where nothing but coefficients of given functions is fitted."""
-        return self.refinement is None and self.initial is None and not self.library.shapes
-
-    @contextmanager
-    def _whole(self) -> Iterator[None]:
-        """Go back to what was learnt before where something within raises."""
-        go_back = self.kept()
-        try:
-            yield
-        except BaseException:
-            go_back()
-            raise
-
-    def absorb(self, transitions: Transitions) -> None:
-        """Add transitions to the sums that the next `update` solves; the equations stay as they are.
-
-        Raises:
-            ValueError: a sample is not finite, or has other numbers of states or inputs; the model stays as it was.
-        """
-        if not len(transitions):
-            return
-        with self._whole():
-            rates = rate_states(self.library, self.constraints)
-            self.sums.add(RegressionData.of(self._checked(transitions), rates).rows(self.library))
-
     def _identify(self, transitions: Transitions, cut_before: bool) -> FitReport:
         """Fit to transitions alone.
 
         A library that was cut before is cut again, however many data there are: the whole one may take too long.
         """
-        start, self.sums = time.perf_counter(), RunningSums(len(self.library), self.signature.n_x)
+        start = time.perf_counter()
         data, constraints, cut = self._checked(transitions), self.constraints, list[Finding]()
         rates, first = rate_states(self.library, constraints), None
         guess = settle_lag_states(reconstruct(data, rates), self.followers)
@@ -399,8 +354,8 @@ class SindyModel(WorldModel):
             if unscaled:
                 constraints = Constraints(constraints.free & ~units, torch.where(units, first, constraints.offset))
                 cut.append(note("fit.unscaled", states=unscaled))
-            late = delay_inputs(guess, self.initial_delay or 0.0)
-            led = simulate_hidden_states(self.library, first, data, late, rates)
+            acting = delay_inputs(guess, self.initial_delay or 0.0)
+            led = simulate_hidden_states(self.library, first, data, acting, rates)
             started = _start_lag_states(self.library, first, led, self.followers)
             guess = replace(started, u=data.u, u_end=data.u_end)
         seen = RegressionData(data, guess, rates)
@@ -411,24 +366,27 @@ class SindyModel(WorldModel):
         if self._cuts and few:
             rows, cut = self._cut(rows)  # where there is no first guess
             constraints = self.constraints
-        self.sums.add(rows)
+        factor, library = TriangularFactor(rows), self.library
         if first is None:
-            self._solve(self.sums, seen.dependent)
+            self._solve(factor, seen.dependent)
             if self.refinement is None:
                 self.covariance = of_rates(self.coefficients, self.constraints.free, *rows)
         else:
             self.set_coefficients(first)
         self.delay = 0.0
         refined = self._refine(data, guess, None if first is None else self.initial_delay, constraints)
-        findings = (*cut, *refined.findings)
+        if self.library is not library or self.delay:  # the functions are others now, and so are their averages
+            late = RegressionData(data, guess, rates, self.delay).delayed(self.delay)
+            factor = TriangularFactor(late.rows(self.library))
+        self.samples, findings = len(data), (*cut, *refined.findings)
         if self.refinement is not None:
             findings += (*_unmoved_shapes(self.library, self.coefficients),)
         return FitReport.of(
             self.library,
             self.coefficients,
-            self.sums,
+            factor,
             time.perf_counter() - start,
-            # The sums may be of fewer rows than that, each of them the average of many transitions.
+            # It may be that of fewer rows, each of them the average of many transitions.
             samples=int(rows_after_delay(data, self.delay).sum()),
             residual=refined.missed,
             findings=findings,
@@ -445,9 +403,7 @@ class SindyModel(WorldModel):
         if self.step is not None:
             raise ValueError("a difference equation has no derivatives to be fitted to; use fit, or time='continuous'")
         x, u, dx = (t.to(torch.float64) for t in (x, u, dx))
-        self.sums = RunningSums(len(self.library), self.signature.n_x)
-        self.sums.add((self.library(x, u), dx))
-        self._solve(self.sums)
+        self._solve(TriangularFactor((self.library(x, u), dx)))
 
     def __str__(self) -> str:
         """Return the equations, a line for each state."""
@@ -567,12 +523,12 @@ class SindyModel(WorldModel):
             )
         library, data = (self.library, data) if self.step is None else _step_rows(self.library, data)
         least, why = len(self.library), "one per function"
-        if self._cuts and not self.sums.count and (linear := SAMPLES_EACH * sum(shape)) < least:
+        if self._cuts and (linear := SAMPLES_EACH * sum(shape)) < least:
             least, why = linear, f"{SAMPLES_EACH} per state and input"
-        if len(data) + self.sums.count < least:
+        if len(data) < least:
             kind = "samples" if self.step is None else "whole steps without gaps"
             raise ValueError(
-                f"fit got {len(data) + self.sums.count} {kind}; allowed are {least} or more, {why}: collect more data "
+                f"fit got {len(data)} {kind}; allowed are {least} or more, {why}: collect more data "
                 "or choose a smaller library"
             )
         self.library = library
@@ -594,12 +550,7 @@ class SindyModel(WorldModel):
             return before._replace(findings=(weak("fit.dropped"),))
         self.set_coefficients(refined)
         self.covariance = found.covariance
-        if found.library is not self.library or found.delay != self.delay:
-            # The functions are others now, and so are the sums of their products.
-            self.library, self.delay = found.library, found.delay
-            self.sums = RunningSums(len(self.library), self.signature.n_x)
-            recording = RegressionData(data, guess, rate_states(self.library, self.constraints), self.delay)
-            self.sums.add(recording.delayed(self.delay).rows(self.library))
+        self.library, self.delay = found.library, found.delay
         rows = selection_rows(free, self.refinement.error == "innovation")
         if self.refinement.method == "integral" or not self.refinement.select or len(data) <= rows:
             return found
@@ -630,11 +581,10 @@ class SindyModel(WorldModel):
             library, known = library.subset(places), Constraints(known.free[places], known.offset[places])
         self.library, self.constraints, self.places = library, known, places
         self.coefficients = known.offset.clone()
-        self.sums = RunningSums(len(library), self.signature.n_x)
 
-    def _solve(self, sums: RunningSums, dependent: float = DEPENDENT) -> None:
+    def _solve(self, factor: TriangularFactor, dependent: float = DEPENDENT) -> None:
         regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression
-        found = regression.solve(sums, self.constraints.free, self.constraints.offset)
+        found = regression.solve(factor, self.constraints.free, self.constraints.offset)
         self.set_coefficients(require_finite(self.library, found, "regression"))
 
 
@@ -664,12 +614,7 @@ def _screened(rows: Rows, free: Tensor, offset: Tensor, complexity: Sequence[flo
 
 def _step_rows(library: Library, data: Transitions) -> tuple[Library, Transitions]:
     """Return the library with the step of a recording, and its control periods in which all states were measured."""
-    data, step = _by_period(data), library.step
-    if step is not None and step != UNTOLD and abs(step - data.dt) > ALIKE * step:
-        raise ValueError(
-            f"the model is a difference equation with a step of {step:g} s, and the data are sampled every "
-            f"{data.dt:g} s; give data of the same sampling time, or fit the model anew"
-        )
+    data = _by_period(data)
     if never := data.x.isnan().all(0).nonzero().flatten().tolist():
         names = ", ".join(library.signature.state_names[i] for i in never)
         raise ValueError(
@@ -678,7 +623,7 @@ def _step_rows(library: Library, data: Transitions) -> tuple[Library, Transition
         )
     seen = (data.x.isfinite() & data.x_next.isfinite()).all(-1)
     rows = data if bool(seen.all()) else data.select(seen)
-    return library.with_step(data.dt) if step == UNTOLD else library, rows
+    return library.with_step(data.dt), rows
 
 
 def _by_period(data: Transitions) -> Transitions:

@@ -21,7 +21,7 @@ from dynasindy.sindy.delay import refine_delay, unexplained
 from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.library import Constraints, Library
 from dynasindy.sindy.reconstruction import RegressionData, has_gaps, rate_states
-from dynasindy.sindy.regression import Regression, Rows, RunningSums, fit_supported, needed_at_edge
+from dynasindy.sindy.regression import Regression, Rows, TriangularFactor, fit_supported, needed_at_edge
 from dynasindy.sindy.shape_parameters import fit_shapes
 from dynasindy.sindy.shooting import Descent, RunsAway, shooting_covariance
 from dynasindy.sindy.trajectory_fit import refine_trajectory
@@ -315,9 +315,8 @@ class _Fit:
         free, offset = self.constraints.free, self.constraints.offset
         regression = Regression(method="bic", tolerance=settings.tolerance, dependent=seen.dependent)
         for _ in range(settings.rounds):
-            sums = RunningSums(len(library), library.signature.n_x)
-            sums.add(seen.rows(library, generate(library, coefficients)))
-            coefficients = regression.solve(sums, free, offset)
+            factor = TriangularFactor(seen.rows(library, generate(library, coefficients)))
+            coefficients = regression.solve(factor, free, offset)
             library, coefficients = fit_shapes(library, coefficients, free, seen.rows, settings.tolerance)
         return library, coefficients
 

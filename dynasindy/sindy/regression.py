@@ -1,4 +1,4 @@
-"""Sparse regression: rows out of a recording, running sums of them, and the coefficients that they need."""
+"""Sparse regression: rows out of a recording, their triangular factor, and the coefficients that they need."""
 
 from __future__ import annotations
 
@@ -195,29 +195,19 @@ def integral_form(library: Theta, data: Transitions, field: Theta | None = None)
     return (ends + 4 * library(middle, data.mean_inputs)) / 6, rates
 
 
-class RunningSums:
-    """Hold the triangular factor R of all samples seen, so that new data cost the new data only.
+class TriangularFactor:
+    """Hold the triangular factor R of samples, which tells all that a regression asks of them.
 
     Args:
-        n_features: number of candidate functions.
-        n_x: number of states.
+        rows: theta `(N, n_features)` and dx `(N, n_x)`.
+        block: samples handled at once, which bounds the memory.
+
+    Raises:
+        ValueError: a sample is not finite.
     """
 
-    def __init__(self, n_features: int, n_x: int) -> None:
-        self.n_features, self.n_x, self.count = n_features, n_x, 0
-        self.r = torch.zeros(n_features + n_x, n_features + n_x, dtype=torch.float64)
-
-    def add(self, rows: Rows, block: int = 20_000) -> None:
-        """Add samples.
-
-        Args:
-            rows: theta `(N, n_features)` and dx `(N, n_x)`.
-            block: samples handled at once, which bounds the memory.
-
-        Raises:
-            ValueError: a sample is not finite.
-        """
-        stacked = torch.cat([rows[0], rows[1]], -1).to(torch.float64)
+    def __init__(self, rows: Rows, block: int = 20_000) -> None:
+        stacked = torch.cat(rows, -1).to(torch.float64)
         # A sum is a pass over the numbers; of numbers that are finite it may be too large for one.
         if not math.isfinite(float(stacked.sum())) and not bool(torch.isfinite(stacked).all()):
             bad = int((~torch.isfinite(stacked)).any(-1).sum())
@@ -225,9 +215,10 @@ class RunningSums:
                 f"{bad} of {len(stacked)} samples give functions that are not finite; allowed are finite ones: "
                 "remove those samples or the function that overflows"
             )
+        self.n_features, self.count = rows[0].shape[1], len(stacked)
+        self.r = stacked.new_zeros(stacked.shape[1], stacked.shape[1])
         for part in stacked.split(block):
             self.r = torch.linalg.qr(torch.cat([self.r, part]), mode="r")[1]
-            self.count += part.shape[0]
 
     def norms(self) -> Tensor:
         """Return the 2-norm of every column of [Theta dX], `(n_features + n_x,)`."""
@@ -264,25 +255,25 @@ class Regression:
     tolerance: Annotated[float, Field(gt=0)] = 1e-5
     dependent: float = DEPENDENT
 
-    def solve(self, sums: RunningSums, support: Tensor, offset: Tensor) -> Tensor:
+    def solve(self, factor: TriangularFactor, support: Tensor, offset: Tensor) -> Tensor:
         """Find sparse coefficients.
 
         Args:
-            sums: the samples.
+            factor: of the samples.
             support: coefficients that may differ from zero, bool `(n_features, n_x)`.
             offset: coefficients that are given and stay, `(n_features, n_x)`.
 
         Returns:
             Coefficients, offset included, in the units of the data, `(n_features, n_x)`.
         """
-        norms = sums.norms()
+        norms = factor.norms()
         scale = torch.where(norms > 0, norms, 1.0)
-        columns, rates = scale[: sums.n_features], scale[sums.n_features :]
-        theta = sums.theta() / columns
-        targets = sums.targets() - sums.theta() @ offset
+        columns, rates = scale[: factor.n_features], scale[factor.n_features :]
+        theta = factor.theta() / columns
+        targets = factor.targets() - factor.theta() @ offset
         if self.method == "bic":
-            support = support & (norms[: sums.n_features] > 0).unsqueeze(-1)
-            found = rates * _eliminate(theta, targets / rates, support, sums.count, self.tolerance, self.dependent)
+            support = support & (norms[: factor.n_features] > 0).unsqueeze(-1)
+            found = rates * _eliminate(theta, targets / rates, support, factor.count, self.tolerance, self.dependent)
         else:
             found = stlsq(theta, targets, support, self.threshold)
         return offset + found / columns.unsqueeze(-1)

@@ -29,27 +29,6 @@ class WorldModel(System):
 
     delay: float = 0.0
 
-    @property
-    def additive(self) -> bool:
-        """Whether `update` with new transitions equals `fit` to all of them, and `absorb` is known."""
-        return False
-
-    def update(self, transitions: Transitions) -> Any:
-        """Fit anew to all earlier data and to new transitions, and return a report.
-
-        Raises:
-            NotImplementedError: The model keeps no sums of earlier data.
-        """
-        raise NotImplementedError(f"{type(self).__name__} is fitted to all transitions at once; use fit")
-
-    def absorb(self, transitions: Transitions) -> None:
-        """Add transitions to the data of the next `update`, and leave the model as it is.
-
-        Raises:
-            NotImplementedError: The model keeps no sums of earlier data.
-        """
-        raise NotImplementedError(f"{type(self).__name__} is fitted to all transitions at once; use fit")
-
     def kept(self) -> Callable[[], object]:
         """Return what takes the model back to what it has learnt so far, its `state_dict`, when called."""
         return partial(self.load_state_dict, copy.deepcopy(self.state_dict()))

@@ -176,45 +176,6 @@ def test_inputs_act_as_much_later_as_a_model_says(later, expected):
     assert _acting(rollout, later)["action"].flatten().tolist() == expected
 
 
-def test_a_refit_at_the_cost_of_the_newest_episode_equals_one_to_all_data():
-    """The paper's regression keeps sums; the oracle is a fit to all rows at once."""
-
-    def _model(**given):
-        parts = Recipe(
-            system=Xi(),
-            task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=160),
-            env=ControlEnv,
-            excitation=partial(Chirp, duration=5.0),
-            world_model=partial(SindyModel, **given),
-            agent=partial(TD3, hidden=(8,)),
-            replay=partial(DynaReplay, 2000, 16),
-            planning=NoPlanning,
-            gate=Gate(),
-            train=LoopSettings(3),
-        ).build()
-        return parts
-
-    parts = _model()
-    excited = _interact(parts.env, parts.excitation, 100)
-    parts.replay.extend_real(excited)
-    first_fit(parts, excited)
-    assert parts.world_model.additive
-    rows = [excited]
-    for _ in range(3):
-        rollout = _interact(parts.env, parts.agent.explore, 160)
-        parts.replay.extend_real(rollout)
-        found = refit(parts, LoopSettings(3), rollout)
-        held_out = torch.zeros(160, dtype=torch.bool)
-        for start in _held_out_windows(160, 20, 4).tolist():
-            held_out[start : start + 20] = True
-        whole = _model().world_model
-        whole.fit(transitions(torch.cat([*rows, rollout[~held_out]]), parts.model_env.log_dt))
-        assert found.kept
-        torch.testing.assert_close(parts.world_model.coefficients, whole.coefficients, rtol=1e-6, atol=1e-9)
-        rows.append(rollout)
-    assert parts.world_model.sums.count == sum(len(transitions(each, parts.model_env.log_dt)) for each in rows)
-
-
 def test_a_refit_that_is_taken_back_leaves_its_data_to_the_next(monkeypatch):
     parts = built()
     model = SindyModel(Xi().signature)
@@ -222,11 +183,12 @@ def test_a_refit_that_is_taken_back_leaves_its_data_to_the_next(monkeypatch):
     excited = _interact(parts.env, parts.agent.explore, 80)
     parts.replay.extend_real(excited)
     first_fit(parts, excited)
-    kept, before = model.coefficients.clone(), model.sums.count
+    kept, before = model.coefficients.clone(), model.samples
     errors = iter([ModelError(0.0, 1e-3, torch.zeros(1, 6)), ModelError(0.0, 1.0, torch.zeros(1, 6))])
     monkeypatch.setattr("dynasindy.dyna.refit.replay_error", lambda *given: next(errors))
     rollout = _interact(parts.env, parts.agent.explore, 80)
     parts.replay.extend_real(rollout)
     assert not refit(parts, LoopSettings(1), rollout).kept
     assert torch.equal(model.coefficients, kept)
-    assert model.sums.count == before + len(transitions(rollout, parts.model_env.log_dt))
+    first_fit(parts, rollout)
+    assert model.samples == before + len(transitions(rollout, parts.model_env.log_dt))

@@ -9,7 +9,7 @@ import torch
 from dynasindy.findings import note, weak
 from dynasindy.identification.verdict import equation_findings, idle_states
 from dynasindy.sindy import FitReport, SindyModel
-from dynasindy.sindy.regression import RunningSums
+from dynasindy.sindy.regression import TriangularFactor
 from dynasindy.systems import Tras
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -53,10 +53,9 @@ def test_a_delay_is_told_unless_its_search_ended_there(doubts, said):
 
 def report_of(model: SindyModel, apart: float) -> FitReport:
     """Return the report of a fit to two columns, with so small an angle between them, in samples of 10 ms."""
-    sums = RunningSums(2, 1)
     columns = torch.tensor([[1.0, math.cos(math.asin(apart))], [0.0, apart]], dtype=torch.float64)
-    sums.add((columns, torch.zeros(2, 1, dtype=torch.float64)))
-    return FitReport.of(model.library, model.coefficients, sums, 0.0, dt=0.01)
+    factor = TriangularFactor((columns, torch.zeros(2, 1, dtype=torch.float64)))
+    return FitReport.of(model.library, model.coefficients, factor, 0.0, dt=0.01)
 
 
 def log_of(*columns: float) -> Transitions:

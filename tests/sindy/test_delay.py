@@ -120,8 +120,6 @@ def test_the_report_judges_a_model_under_the_inputs_of_its_delay():
     assert report.residual["y"] == pytest.approx(unexplained(data, model.coefficients[:, 0].tolist(), 3), rel=1e-6)
     assert report.residual["y"] < 0.01 < 0.5 < unexplained(data, model.coefficients[:, 0].tolist(), 0)
     assert report.samples == 197
-    with pytest.raises(NotImplementedError, match="fit"):
-        model.update(data)
     model.refinement = None
     model.fit(recording(0.0))
     assert model.delay == 0.0 and model.coefficients[:, 0].tolist() == pytest.approx([A, B], rel=0.01)

@@ -9,7 +9,7 @@ import torch
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.fit_report import FitReport
 from dynasindy.sindy.library import CONSTANT, Library, variable
-from dynasindy.sindy.regression import RunningSums
+from dynasindy.sindy.regression import TriangularFactor
 from dynasindy.systems.base import Signature
 
 LIBRARY = Library(Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0)), [CONSTANT, variable("a"), variable("u")])
@@ -22,11 +22,9 @@ def rows(seed: int = 0, noise: float = 0.3) -> tuple[torch.Tensor, torch.Tensor]
     return theta, theta @ XI + noise * torch.from_numpy(generator.normal(size=(90, 2)))
 
 
-def report(*data) -> tuple[FitReport, RunningSums]:
-    sums = RunningSums(3, 2)
-    for part in data:
-        sums.add(part)
-    return FitReport.of(LIBRARY, XI, sums, 0.25, dt=0.01), sums
+def report(data) -> tuple[FitReport, TriangularFactor]:
+    factor = TriangularFactor(data)
+    return FitReport.of(LIBRARY, XI, factor, 0.25, dt=0.01), factor
 
 
 def test_unexplained_parts_are_those_of_the_samples():
@@ -50,9 +48,9 @@ def test_the_text_says_how_well_coefficients_are_known():
 
 
 def test_coefficients_of_a_difference_equation_are_those_of_the_change_in_a_step():
-    _, sums = report(rows())
+    _, factor = report(rows())
     known = Covariance(torch.tensor([2]), torch.tensor([1]), torch.diag(torch.tensor([0.25])).double())
-    stepped = replace(FitReport.of(LIBRARY.with_step(0.01), XI, sums, 0.25, dt=0.01), covariance=known)
+    stepped = replace(FitReport.of(LIBRARY.with_step(0.01), XI, factor, 0.25, dt=0.01), covariance=known)
     (known,) = stepped.accuracy
     assert known.values["worst"] == pytest.approx(25) and known.values["of_step"]
     assert known.values["least"] == "u in the change of b"
@@ -66,9 +64,8 @@ def test_what_the_others_of_an_equation_leave_over_of_a_function_is_the_sine_of_
     theta = torch.zeros(9, 3, dtype=torch.float64)
     theta[0, 0], theta[2, 2] = 1.0, 5.0
     theta[0, 1], theta[1, 1] = 3 * np.cos(angle), 3 * np.sin(angle)
-    sums = RunningSums(3, 2)
-    sums.add((theta, rest))
+    factor = TriangularFactor((theta, rest))
     xi = torch.tensor([[1.0, 1.0], [1.0, 0.0], [1.0, 1.0]], dtype=torch.float64)
-    told = FitReport.of(LIBRARY, xi, sums, 0.0).told_apart()
+    told = FitReport.of(LIBRARY, xi, factor, 0.0).told_apart()
     assert told[:, 0].tolist() == pytest.approx([np.sin(angle), np.sin(angle), 1.0])
     assert told[:, 1].tolist() == pytest.approx([1.0, 0.0, 1.0])

@@ -8,7 +8,7 @@ import torch
 
 from dynasindy.sindy.fit_report import Identifiability
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
-from dynasindy.sindy.regression import RunningSums
+from dynasindy.sindy.regression import TriangularFactor
 from dynasindy.systems.base import Signature
 
 SIGNATURE = Signature(("a", "b"), ("rad", "rad/s"), ("u", "v"), (1.0, 1.0))
@@ -24,9 +24,7 @@ def judge(library: Library, x, u, xi=None, noise=0.0) -> Identifiability:
     xi = torch.ones(len(library), 2, dtype=torch.float64) if xi is None else xi
     theta = library(x, u)
     dx = theta @ xi + noise * torch.from_numpy(np.random.default_rng(1).normal(size=(len(x), 2)))
-    sums = RunningSums(len(library), 2)
-    sums.add((theta, dx))
-    return Identifiability.of(library, sums)
+    return Identifiability.of(library, TriangularFactor((theta, dx)))
 
 
 def test_rank_and_condition_are_numpy_s_of_unit_columns():

@@ -117,16 +117,6 @@ def test_known_rows_masks_and_fixed_coefficients_are_kept():
     assert found["omega_p", "omega_p"] == pytest.approx(-1.4193, rel=0.1)
 
 
-def test_an_update_equals_a_fit_to_all_data():
-    data = _recording(Xi(), Aprbs(2, 4.0, amplitude=(0.5, 0.3), offset=HOVER, seed=3))
-    parts = [data.select(torch.arange(400) < 250), data.select(torch.arange(400) >= 250)]
-    whole, grown = SindyModel(Xi().signature), SindyModel(Xi().signature)
-    whole.fit(Transitions.cat(parts))
-    grown.fit(parts[0])
-    grown.update(parts[1])
-    assert torch.allclose(whole.coefficients, grown.coefficients, rtol=1e-5, atol=1e-5)
-
-
 def test_a_loaded_model_keeps_what_was_known_when_it_is_fitted_again(tmp_path):
     model = SindyModel(Xi().signature, "paper_table", known=KNOWN, fixed={"omega_p": {"u_p": 5e3}})
     model.fit_derivatives(*(points := _points()), Xi()(*points))

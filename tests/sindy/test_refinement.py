@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from dynasindy.envs.rollout_data import disturb
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, variable
-from dynasindy.sindy.regression import RunningSums, integral_form
+from dynasindy.sindy.regression import TriangularFactor, integral_form
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -32,9 +32,7 @@ def recording(dt: float, noise: float = 0.0, n: int = 150) -> Transitions:
 
 
 def first(data: Transitions) -> torch.Tensor:
-    sums = RunningSums(4, 1)
-    sums.add(integral_form(LIBRARY, data))
-    return Regression("bic").solve(sums, FREE.free, FREE.offset)
+    return Regression("bic").solve(TriangularFactor(integral_form(LIBRARY, data)), FREE.free, FREE.offset)
 
 
 def error(xi: torch.Tensor) -> float:

@@ -1,4 +1,4 @@
-"""Regression from running sums equals regression from all samples, PySINDy's, and brute force."""
+"""Regression from a triangular factor equals regression from all samples, PySINDy's, and brute force."""
 
 import itertools
 import math
@@ -10,7 +10,7 @@ import torch
 
 from dynasindy.sindy.regression import (
     Regression,
-    RunningSums,
+    TriangularFactor,
     _eliminate,
     integral_form,
     least_squares,
@@ -29,29 +29,23 @@ def problem(n: int = 300, noise: float = 0.05, seed: int = 0):
     return torch.from_numpy(theta), torch.from_numpy(dx), torch.from_numpy(xi)
 
 
-def sums_of(theta, dx) -> RunningSums:
-    sums = RunningSums(theta.shape[1], dx.shape[1])
-    sums.add((theta, dx))
-    return sums
-
-
 def solve(regression: Regression, theta, dx):
-    return regression.solve(sums_of(theta, dx), torch.ones(8, 2, dtype=torch.bool), torch.zeros(8, 2).double())
+    return regression.solve(
+        TriangularFactor((theta, dx)), torch.ones(8, 2, dtype=torch.bool), torch.zeros(8, 2).double()
+    )
 
 
-def test_running_sums_hold_all_that_a_fit_needs():
+def test_a_triangular_factor_holds_all_that_a_fit_needs():
     theta, dx, xi = problem()
-    sums = RunningSums(8, 2)
-    for part in ((0, 5), (5, 6), (6, 300)):
-        sums.add((theta[slice(*part)], dx[slice(*part)]), block=50)
+    factor = TriangularFactor((theta, dx), block=70)
     both = torch.cat([theta, dx], -1)
-    assert sums.count == 300 and sums.r.shape == (10, 10)
-    assert torch.allclose(sums.r.mT @ sums.r, both.mT @ both, rtol=1e-10)
-    assert torch.allclose(sums.norms(), both.norm(dim=0), rtol=1e-12)
-    assert torch.allclose(sums.residual(xi), (dx - theta @ xi).norm(dim=0), rtol=1e-9)
+    assert factor.count == 300 and factor.r.shape == (10, 10)
+    assert torch.allclose(factor.r.mT @ factor.r, both.mT @ both, rtol=1e-10)
+    assert torch.allclose(factor.norms(), both.norm(dim=0), rtol=1e-12)
+    assert torch.allclose(factor.residual(xi), (dx - theta @ xi).norm(dim=0), rtol=1e-9)
     size = 10.0 ** torch.arange(-3, 5)
     expected = np.linalg.lstsq((theta / size).numpy(), dx.numpy(), rcond=None)[0]
-    assert np.allclose(least_squares(sums.theta() / size, sums.targets()), expected, rtol=1e-9, atol=1e-12)
+    assert np.allclose(least_squares(factor.theta() / size, factor.targets()), expected, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
@@ -59,7 +53,7 @@ def test_samples_that_are_not_finite_are_refused_and_counted(bad):
     theta, dx, _ = problem()
     theta[3, 1] = theta[7, 2] = dx[7, 1] = bad
     with pytest.raises(ValueError, match="2 of 300"):
-        sums_of(theta, dx)
+        TriangularFactor((theta, dx))
 
 
 @pytest.mark.filterwarnings("ignore:Sparsity parameter is too big")
@@ -99,7 +93,7 @@ def test_given_coefficients_stay_and_silent_functions_get_none(method):
     theta[:, 5] = 0.0
     support, offset = torch.ones(8, 2, dtype=torch.bool), torch.zeros(8, 2, dtype=torch.float64)
     support[3, 0], offset[3, 0] = False, -1.4
-    found = Regression(method, threshold=1e-3).solve(sums_of(theta, dx), support, offset)
+    found = Regression(method, threshold=1e-3).solve(TriangularFactor((theta, dx)), support, offset)
     assert found[3, 0] == -1.4 and found[5].tolist() == [0.0, 0.0]
     expected = np.linalg.lstsq(
         theta[:, [0, 1, 2, 4, 6, 7]].numpy(), (dx[:, 0] + 1.4 * theta[:, 3]).numpy(), rcond=None
