@@ -344,10 +344,7 @@ def _half(values: Tensor) -> Tensor:
 
 
 def _variants(model: SindyModel, draws: int, seed: int) -> tuple[Tensor, str]:
-    """Draw coefficients that were found in data, `(draws, n_features, n_x)`, and say by how much they are drawn.
-
-    They are drawn from the covariance of the fit, as far as the model tells it; else within a share `DRAWN` of each.
-    """
+    """Draw coefficients from the covariance of the fit, else within a share `DRAWN` of each, and say by how much."""
     generator, xi = torch.Generator().manual_seed(seed), model.coefficients
     if model.covariance is None:
         uniform = 2 * torch.rand((draws, *xi.shape), generator=generator, dtype=xi.dtype) - 1

@@ -193,11 +193,7 @@ def controller_sources(controller: Controller, name: str = "controller") -> Sour
 
 
 def _observer_words(controller: Controller, observer: Observer) -> dict[str, Any]:
-    """Return what the templates are told of an observer.
-
-    Raises:
-        ValueError: The model is not sparse, or has so many states that a call would overflow the stack.
-    """
+    """Return what the templates are told of an observer; see `controller_sources` for errors."""
     model, (whole, part), dt, size = require_sparse(observer), observer.late(), observer.dt, observer.scale
     if (n := observer.n_x + model.signature.n_u) > MANY:
         raise ValueError(f"an observer of {n} states and inputs is too large for the stack of C, {MANY} at most")

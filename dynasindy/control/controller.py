@@ -340,9 +340,6 @@ class Controller:
 
 
 def _line(r: Tensor, slope: Tensor | float, t: float) -> Tensor:
-    """Return the parameters of references that are at `r` at time t and move by `slope`, `(*batch, n_r, 5)`.
-
-    A sine of 1 rad/s at its zero has its amplitude as slope.
-    """
+    """Return parameters of references that are at `r` at time t and move by `slope`, `(*batch, n_r, 5)`: slow sines."""
     zero = torch.zeros_like(r)
     return torch.stack([r, zero + slope, zero + 1 / (2 * math.pi), zero - t, zero], -1)

@@ -70,10 +70,7 @@ class IntegralAction:
         return tensordict.set("action", self.policy(seen)["action"])
 
     def _advanced(self, integral: Tensor, error: Tensor, slowness: Tensor) -> Tensor:
-        """Return the integral a control period later, `(*batch, n_r)`, from errors [target ranges].
-
-        `slowness` are the rates of the references less those of the outputs, of outputs that have a rate.
-        """
+        """Return the integral a period later; `slowness` are rates of references less those of the outputs."""
         moving = torch.zeros_like(error)  # an output without a rate tells nothing of its motion
         if self.task.rates:
             rated = list(self.task.rated)

@@ -105,10 +105,7 @@ def _places(model: SindyModel, task: Tracking, log: Source | None) -> tuple[Tens
 
 
 def _fastest_motion(model: SindyModel, x: Tensor, u: Tensor, outputs: list[int]) -> tuple[float, str]:
-    """Return which motion of a model asks for the shorter control period, and its time, see `PERIODS` [s].
-
-    It is that at the first place, or that of enough of the others, if it is faster.
-    """
+    """Return which motion, at the first place or enough others, asks for the shorter period, and its time [s]."""
     modes = [LocalModes(model, *place, outputs) for place in zip(x, u, strict=True)]
     found = {"oscillation": [at.oscillation for at in modes], "doubling": [at.doubling for at in modes]}
     times = {kind: min([first, *_shared(others)]) for kind, (first, *others) in found.items()}
@@ -146,10 +143,8 @@ def _settles(env: ControlEnv, x: Tensor, u: Tensor, share: float = SETTLED) -> f
 
 
 def _settling(x: Tensor, power: Tensor, extents: Tensor, share: float, end: float) -> float:
-    """Return when outputs stay within a share of what they are at first, watched until an end [periods].
-
-    Slow modes that outputs do not show, as a wall behind air whose temperature is held, do not count.
-    """
+    """Return when outputs stay within a share of what they are at first, watched until an end [periods]."""
+    # Slow modes that outputs do not show, as a wall behind air whose temperature is held, do not count.
     sizes, times, step, k = [], [], 1, 0
     while k <= end:
         for _ in range(FINE):

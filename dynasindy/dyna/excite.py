@@ -47,12 +47,7 @@ ENOUGH = 2
 
 @dataclass(frozen=True)
 class _LocalModel:
-    """A linear model of the plant near its start, dx/dt = A (x - x_0) + B u + c, from little data.
-
-    Where all states are seen, it is found by least squares of their rates of change. Behind sensors it is fitted to the
-    measurements by whole trajectories, as the world model is: rates that an observer without a model makes of angles
-    come late, by as much as a plant that falls takes to fall.
-    """
+    """A linear model of the plant near its start, dx/dt = A (x - x_0) + B u + c, from little data."""
 
     home: Tensor  # x_0, `(n_x,)`
     a: Tensor  # `(n_x, n_x)` [1/s]
@@ -77,7 +72,7 @@ def _fit_local_model(rows: TensorDict, parts: PlantComponents) -> _LocalModel | 
         a, b, c = torch.linalg.lstsq(columns, slopes, driver="gelsd").solution.split([n_x, n_u, 1])
         scale = scale.unsqueeze(-1)
         return _LocalModel(home, a.mT * scale / scale.mT, b.mT * scale, c[0] * scale.squeeze(-1))
-    # Of the rates, which were not measured, nothing is known yet.
+    # By whole trajectories: rates that an observer without a model makes of angles come as late as a plant falls.
     away = ((rows["measurement"] - home) / scale).abs()
     data = transitions(rows[~(away > NEAR).any(-1)], parts.plant.log_dt)
     if len(data) < ENOUGH * (n_x + n_u + 1):

@@ -121,10 +121,7 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
 
 
 def _acting(rollout: TensorDictBase, later: float) -> TensorDictBase:
-    """Return a real episode with the inputs that acted, by a model in which they are so many periods later.
-
-    Where an input changes within a control period, its mean acts, as in `ControlEnv`.
-    """
+    """Return a real episode with the inputs that acted, if so many periods later; the mean where one changes within."""
     if not later:
         return rollout
     whole = math.floor(later)
@@ -137,10 +134,7 @@ def _acting(rollout: TensorDictBase, later: float) -> TensorDictBase:
 
 
 def _observe(parts: Components, newest: TensorDictBase) -> None:
-    """Adapt the observer, if there is one, to the model as it is on the newest real episode, and estimate that anew.
-
-    If the fit found that inputs act late, where states are seen as they are, there is an observer from now on.
-    """
+    """Adapt the observer, which a delay asks for, to the model on the newest real episode, and estimate that anew."""
     parts.make_up(newest)
     if parts.sensing is None:
         return

@@ -275,14 +275,7 @@ class ControlEnv(EnvBase):
     def _observed(
         self, x: Tensor, params: Tensor, steps: Tensor, period: tuple[Tensor, Tensor, Tensor] | None = None
     ) -> dict[str, Tensor]:
-        """Return what is shown of states `(*batch, n_x)`, and what the period before earned.
-
-        Args:
-            x: States.
-            params: What is tracked.
-            steps: Control periods since the episodes began, `(*batch, 1)`.
-            period: States at its start, its inputs and whether it touched a stop, `(*batch,)`; None at a start.
-        """
+        """Return what is shown of states, and what a period earned: states at its start, inputs and touched stops."""
         shown = {"state": x, "task_params": params, "step_count": steps}
         code = self._task_code(x, params, steps, *(period or ()))
         if code is not None:

@@ -27,10 +27,7 @@ Array = NDArray[np.float32]
 
 
 class _GymControl(gymnasium.Env[Array, Array]):
-    """A `ControlEnv` with one row behind Gymnasium's interface; `info` holds `state` and `reference`.
-
-    Episodes are truncated, never terminated; actions are clipped to [-1, 1].
-    """
+    """A `ControlEnv` with one row behind Gymnasium's interface, truncated, never terminated; actions are clipped."""
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012 (Gymnasium's name)
 
@@ -96,10 +93,7 @@ class _GymControl(gymnasium.Env[Array, Array]):
 def _compiled_step(
     env: ControlEnv, begun: TensorDictBase
 ) -> Callable[[Array], tuple[Array, float, dict[str, Any]]] | None:
-    """Return a function that advances one row by a control period in two calls of machine code; None without that.
-
-    State and count of periods in `begun` follow the episode.
-    """
+    """Return what advances one row, its state and count in `begun`, by two calls of machine code, if there is any."""
     x, params, steps = begun["state"], begun["task_params"].contiguous(), begun["step_count"]
     u = x.new_zeros(1, env.system.signature.n_u)
     judge, code = tracking_machine(env.task, env.dt, x.dtype), env.system.compiled(x, u[0])

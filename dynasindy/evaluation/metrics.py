@@ -98,10 +98,7 @@ def _rise_time(time: Tensor, progress: Tensor) -> Tensor:
 
 
 def _settling_time(time: Tensor, progress: Tensor) -> Tensor:
-    """Return the time after which the error stays within the settling band, `(*batch, n_r)` [s].
-
-    Infinite where a sample of the steady state is still outside the band: what enters it at the end crosses it only.
-    """
+    """Return when the error is in the settling band for good [s], `(*batch, n_r)`; inf if steady states leave it."""
     outside = (progress - 1.0).abs() > SETTLING_BAND
     # Index of the first sample that is inside together with all that follow it.
     index = torch.where(outside, torch.arange(1, len(time) + 1, device=time.device).unsqueeze(-1), 0).amax(-2)

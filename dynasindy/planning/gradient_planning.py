@@ -39,16 +39,7 @@ DIVERGED = 100.0
 
 
 class _Episodes:
-    """Imagined episodes side by side, begun at staggered times and begun anew when they end.
-
-    Attributes:
-        diverged: Windows that have diverged so far.
-
-    Args:
-        planner: Whose episodes they are.
-        model: What moves them; the model that is planned on if omitted.
-        number: How many there are; all if omitted.
-    """
+    """Imagined episodes of a planner in a model, begun at staggered times and begun anew when they end."""
 
     def __init__(self, planner: GradientPlanning, model: System | None = None, number: int | None = None) -> None:
         self.planner, self.env = planner, planner.env if model is None else planner.env.with_system(model)
@@ -327,10 +318,8 @@ class GradientPlanning(Planner):
         return (lambda observation: task.limit(network(observation))) if task.limited else network
 
     def _descend(self, episodes: Sequence[_Episodes], best: float, updates: int, lr: float, held: bool) -> Imitation:
-        """Follow the gradient, leave the best policy that was tested, and return its score and what it cost.
-
-        `best` is the score of the policy as it is, -inf if it was not tested; `held` says that it holds the plant.
-        """
+        """Follow the gradient, leave the best policy that was tested, and return its score and what it cost."""
+        # `best` is the score of the policy as it is, -inf if it was not tested; `held` says that it holds the plant.
         optimizer, rate = _optimizer(self.network, lr), lr
         best_weights, failures, done, made = self._weights(), 0, 0, 0
         for done in range(1, updates + 1):
@@ -405,10 +394,7 @@ def _network(policy: nn.Module) -> nn.Module:
 
 
 def _imagined_task(task: Task, width: float | None, warm_start: bool | None) -> Task:
-    """Return the task with a cost whose slope does not vanish near zero.
-
-    Without a width, and where no reference is tracked, it is the task itself.
-    """
+    """Return the task with a cost whose slope does not vanish near zero, where there is a width and a reference."""
     if warm_start and not isinstance(task, Tracking):
         raise ValueError(
             f"task {type(task).__name__} has no targets to hold the plant at; leave out "

@@ -266,10 +266,7 @@ def starts(network: Network, env: ControlEnv, rows: Rows, rng: torch.Generator, 
 def _better(
     network: Network, env: ControlEnv, begun: Rows, rng: torch.Generator, periods: int, least: float = math.inf
 ) -> Window:
-    """Return the best way from each start that was found; it earns no less than that of the policy.
-
-    `least` is what a period of one that diverges earns at most, see `imagined_rewards`.
-    """
+    """Return the best way found from each start, the policy's among them; for `least` see `imagined_rewards`."""
     n, n_u = begun.held.shape
     acting = max(1, round(ACTING * periods))
     many = replace(

@@ -167,10 +167,7 @@ def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float 
 
 
 def _discretize(a: Tensor, b: Tensor, dt: float, step: float | None = None) -> tuple[Tensor, Tensor]:
-    """Sample a linear system [1/s] exactly: x[k+1] = Ad x[k] + Bd u[k] under an input held for `dt` [s].
-
-    With a step [s] it is the difference equation x + step (a x + b u).
-    """
+    """Sample dx/dt = a x + b u, or the difference equation x + step (a x + b u), under an input held for `dt` [s]."""
     if step is not None:
         h, count, _ = steps_of(step, dt, 1)
         once = torch.eye(len(a), dtype=a.dtype) + h * a

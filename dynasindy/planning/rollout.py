@@ -229,10 +229,7 @@ def _policy(env: ControlEnv, network: Network, window: Window) -> tuple[list[Ten
 
 
 def _cost(env: ControlEnv, window: Window) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Return mean reward, rows that diverged at zero, and its negative's derivatives.
-
-    They are those by states, `(T + 1, rows, n_x)`, and by actions, `(T, rows, n_u)`, None where these cost nothing.
-    """
+    """Return mean reward, rows that diverged at zero, and its negative's derivatives by states and, if any, actions."""
     states, u = (values.detach().requires_grad_() for values in (window.states, window.actions))
     reward = (replace(window, states=states, actions=u).rewards(env.task) * window.alive[-1]).mean()
     slope = effort = None
@@ -247,16 +244,7 @@ def _cost(env: ControlEnv, window: Window) -> tuple[Tensor, Tensor, Tensor | Non
 
 
 def _adjoint(a: Tensor, b: Tensor, cost: Tensor, effort: Tensor | None, late: Tensor | None, k: Tensor) -> Tensor:
-    """Solve the adjoint equation backwards and return dJ/du, `(T, rows, n_u)`.
-
-    Args:
-        a: Derivatives of the next state by the state, `(T, rows, n_x, n_x)`.
-        b: Those by the input that acts, `(T, rows, n_x, n_u)`.
-        cost: Derivatives of the cost by the states, `(T + 1, rows, n_x)`.
-        effort: Those by the actions, `(T, rows, n_u)`; None where these cost nothing.
-        late: Share of each action that acts a period later, `(rows, 1)`; None for no delay.
-        k: Derivatives of the actions by the state, `(T, rows, n_u, n_x)`.
-    """
+    """Solve the adjoint equation backwards and return dJ/du, `(T, rows, n_u)`; `cost`, `effort` as of `_cost`."""
     adjoint, slopes, later = cost[-1].unsqueeze(-2), [], torch.zeros(())
     for step in range(len(a) - 1, -1, -1):
         slope = (adjoint @ b[step]).squeeze(-2)
@@ -320,10 +308,7 @@ class _MachineRollout:
         self._kept = torch.empty(0)
 
     def imagine(self, x: Tensor, held: Tensor, free: Tensor, keep: bool) -> tuple[Tensor, Tensor, Tensor]:
-        """Return what `_imagine` does; `free` are observations of states of zero, `(T, rows, n_o)`.
-
-        The policy's layers may be kept for `adjoint`.
-        """
+        """Return what `_imagine` does; `free` are observations of states of zero. Layers may be kept for `adjoint`."""
         states = x.new_empty(self.periods + 1, *x.shape)
         states[0] = x
         applied, actions = x.new_empty(2, self.periods, *held.shape)

@@ -135,10 +135,7 @@ class _Trajectory(NamedTuple):
 def _find_caught_trajectories(
     env: ControlEnv, regulator: Regulator, rows: Rows, rng: torch.Generator
 ) -> tuple[dict[int, _Trajectory], int]:
-    """Return ways to where the regulator catches the plant, by the number of their start, and what was imagined.
-
-    Some starts have no way.
-    """
+    """Return ways to where the regulator catches the plant, by the number of their start, and what was imagined."""
     found, imagined = {i: _Trajectory(rows.x[i : i + 1], rows.held[:0]) for i in _caught(env, regulator, rows)}, 0
     reference = env.task.reference(rows.params, rows.t).float()
     for periods in (length for length in LENGTHS if length <= env.task.max_steps):

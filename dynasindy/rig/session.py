@@ -280,10 +280,7 @@ class Session:
         return flown
 
     def _source(self, ranged: bool) -> Source:
-        """Return all logs as one, each a segment; nothing is kept to judge on, as the rig itself is flown next.
-
-        A log that is too short, or otherwise none to learn from, is left out with a line that says why.
-        """
+        """Return all useful logs as one, each a segment; nothing is kept to judge on, as the rig itself flies next."""
         signature = self.wiring.signature
         columns = {
             name: {"name": name if known else "", "unit": unit}

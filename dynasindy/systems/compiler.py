@@ -138,10 +138,7 @@ def find_library(source: str, without: str, *, fast: bool) -> ctypes.CDLL | None
 
 
 def _cache_file(source: str, fast: bool) -> Path | None:
-    """Return where the library of a C text lies for later processes; None without a folder that only the user writes.
-
-    Another compiler, or another processor as of a cluster's other node, has another file.
-    """
+    """Return the file of a C text's library, by compiler and processor; None without a folder of the user's own."""
     found = compiler()
     try:
         folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dynasindy"

@@ -107,10 +107,7 @@ def _draw_errors(curves: Curves, episode: ArrayLike, level: float, unit: str, ti
 
 
 def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike) -> None:
-    """Draw interquartile mean and 95 % bootstrap band over seeds into an axis, one line per setting.
-
-    Where there are fewer than three seeds, each is a line of its own, and nothing is a band.
-    """
+    """Draw interquartile mean and 95 % bootstrap band over seeds per setting, or each of fewer than three seeds."""
     seeds = {name: np.atleast_2d(array(values)) for name, values in curves.items()}
     episodes = array(episode)[: max((rows.shape[1] for rows in seeds.values()), default=0)]
     for (name, rows), line in zip(seeds.items(), line_styles(curves).values(), strict=True):
