@@ -121,27 +121,17 @@ class Plane:
 
 @dataclass(frozen=True)
 class Spread:
-    """What becomes of the loop with other plants.
+    """What becomes of the loop with other plants, at the worst of the targets.
 
     Attributes:
-        radius: Spectral radius, `(n_targets, n)`, infinite where no point of rest was found.
-        error: Steady error of the outputs, `(n_targets, n, n_r)`, infinite where they run away.
+        worst: Largest spectral radius of each plant, `(n,)`; infinite where it has no point of rest, or no target.
+        farthest: Largest steady error of the outputs of each plant, `(n, n_r)`; infinite where they run away.
         how: By how much they are drawn, in words.
     """
 
-    radius: Tensor
-    error: Tensor
+    worst: Tensor
+    farthest: Tensor
     how: str = WITHIN
-
-    @property
-    def worst(self) -> Tensor:
-        """Largest spectral radius of each plant over the targets, `(n,)`; infinite if none has a rest."""
-        return self.radius.amax(0) if len(self.radius) else self.radius.new_full(self.radius.shape[1:], torch.inf)
-
-    @property
-    def farthest(self) -> Tensor:
-        """Largest steady error of each plant over the targets, `(n, n_r)`."""
-        return self.error.amax(0) if len(self.error) else self.error.new_zeros(self.error.shape[1:])
 
 
 @dataclass(frozen=True)
@@ -359,11 +349,12 @@ def _spread(
 ) -> Spread:
     """Let loops with other plants `(n, n_features, n_x)` rest at each target, from where that of the model rests."""
     count = len(changed)
-    radii, errors = (torch.zeros(len(r), count, *more, dtype=torch.float64) for more in ((), r.shape[-1:]))
+    worst = torch.full((count,), 0.0 if len(r) else torch.inf, dtype=torch.float64)
+    farthest = torch.zeros(count, r.shape[-1], dtype=torch.float64)
     for k, target in enumerate(r.double() if count else []):
         start = nominal.select(torch.full((count,), k))
         with reporting_as(f"plants that differ from the model, target {k + 1} of {len(r)}"):
             found = find_rest(loop.varied(changed), target.expand(count, -1), start, seconds)
-        radii[k] = torch.from_numpy(found.linear.radius).where(found.still, torch.inf)
-        errors[k] = found.error
-    return Spread(radii, errors, how)
+        worst = worst.maximum(torch.from_numpy(found.linear.radius).where(found.still, torch.inf))
+        farthest = farthest.maximum(found.error)
+    return Spread(worst, farthest, how)

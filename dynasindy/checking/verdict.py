@@ -224,7 +224,7 @@ def _steps(found: Check, limits: Thresholds) -> list[Finding]:
 
 
 def _coefficients(found: Check, limits: Thresholds) -> list[Finding]:
-    others, held = found.spread, len(found.spread.radius)
+    others, held = found.spread, int(found.stable.sum())
     if not len(others.worst) or not held:
         return []
     rests, radius = others.worst < 1, float(others.worst.max())

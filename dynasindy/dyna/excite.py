@@ -149,50 +149,38 @@ def excitation_findings(parts: PlantComponents, rows: TensorDict) -> list[Findin
         parts: The plant and its limits.
         rows: What `excite` returned.
     """
-    found = _restarts(parts, rows), _coarse(parts, rows), _left_out(rows), _longer_episodes(parts.plant)
-    return [each for each in found if each is not None]
-
-
-def _restarts(parts: PlantComponents, rows: TensorDict) -> Finding | None:
+    findings, task = list[Finding](), parts.plant.task
     ends = (rows["step_count"][1:, 0] == 0).nonzero().flatten()
-    if not len(ends):
-        return None
-    (low, high), signature = _excitation_limits(parts), parts.plant.system.signature
-    last = rows["next", "state"][ends]
-    counts = (~((last >= low) & (last <= high))).sum(0).tolist()
-    units = zip(signature.state_names, signature.state_units, low.tolist(), high.tolist(), counts, strict=True)
-    keys = "state", "unit", "low", "high", "times"
-    beyond = [dict(zip(keys, each, strict=True)) for each in units if each[-1]]
-    return note("excitation.restarts", times=len(ends), beyond=beyond)
+    if len(ends):
+        (low, high), signature = _excitation_limits(parts), parts.plant.system.signature
+        last = rows["next", "state"][ends]
+        counts = (~((last >= low) & (last <= high))).sum(0).tolist()
+        units = zip(signature.state_names, signature.state_units, low.tolist(), high.tolist(), counts, strict=True)
+        keys = "state", "unit", "low", "high", "times"
+        beyond = [dict(zip(keys, each, strict=True)) for each in units if each[-1]]
+        findings.append(note("excitation.restarts", times=len(ends), beyond=beyond))
+    findings += _coarse(parts, rows)
+    if count := int(rows["next", "at_stop"].sum()):
+        much = count >= MUCH * rows.numel()
+        findings.append((weak if much else note)("excitation.stops", count=count, total=rows.numel(), much=much))
+    registered = getattr(parts.plant.system, "registered_steps", None)  # of a Gymnasium environment
+    if registered is not None and task.max_steps > registered:
+        findings.append(note("plant.longer_episodes", steps=task.max_steps, registered=registered))
+    return findings
 
 
-def _left_out(rows: TensorDict) -> Finding | None:
-    count = int(rows["next", "at_stop"].sum())
-    much = count >= MUCH * rows.numel()
-    found = (weak if much else note)("excitation.stops", count=count, total=rows.numel(), much=much)
-    return found if count else None
-
-
-def _coarse(parts: PlantComponents, rows: TensorDict) -> Finding | None:
+def _coarse(parts: PlantComponents, rows: TensorDict) -> list[Finding]:
     """Return that the Runge-Kutta steps of a simulated plant, whose states are seen, are too long for it."""
     plant = parts.plant
     if type(plant) is not ControlEnv or plant.delay or parts.sensing is not None:
-        return None  # another simulator, or a rig, moves it, or nobody knows where it was
+        return []  # another simulator, or a rig, moves it, or nobody knows where it was
     report_progress("excitation", note="are the steps of the simulation short enough?")
     rows = rows[:: max(1, len(rows) // LOOKED_AT)]
     x, u = rows["state"], rows["action"].to(rows["state"].dtype)
     needed, apart = steps_needed(plant.system, x, u, plant.dt, plant.substeps, plant.stops)
     if needed == plant.substeps:
-        return None
-    return weak("plant.coarse_steps", apart=float(apart) if math.isfinite(apart) else None, needed=needed)
-
-
-def _longer_episodes(plant: ControlEnv) -> Finding | None:
-    """Return that episodes go on past what a Gymnasium environment is registered with."""
-    registered, steps = getattr(plant.system, "registered_steps", None), plant.task.max_steps
-    if registered is None or steps <= registered:
-        return None
-    return note("plant.longer_episodes", steps=steps, registered=registered)
+        return []
+    return [weak("plant.coarse_steps", apart=float(apart) if math.isfinite(apart) else None, needed=needed)]
 
 
 def within(x: Tensor, low: Tensor, high: Tensor) -> Tensor:

@@ -66,7 +66,7 @@ def test_what_is_told_moves_with_every_control_period_of_every_loop(loops, law, 
     monkeypatch.setattr(ClosedLoop, "step", counting)
     with listening(hear):
         found = check(loops(law(2.0, 2.5, limit=0.3), model, observer={}), SMALL)
-    assert found.stable.all() and found.spread.radius.isinf().any()
+    assert found.stable.all() and found.spread.worst.isinf().any()
     assert any("target 1" in told and "control periods" in told for told in heard)
     assert sum(silent) > 100 and max(silent) <= 2
 

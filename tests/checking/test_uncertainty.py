@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.check import Spread, _spread, _variants
+from dynasindy.checking.check import _spread, _variants
 from dynasindy.checking.linear_loop import find_rest
 from dynasindy.sindy import Refinement, SindyModel
 from dynasindy.sindy.covariance import Covariance
@@ -55,15 +55,9 @@ def test_error_and_eigenvalues_with_other_plants_are_those_of_paper(loops, carts
     xi[:, [0, 2], 1] *= torch.tensor(plants).double()
     found = _spread(loop, r, find_rest(loop, r), xi)
     for k, (b, s) in enumerate(plants):
-        assert found.error[0, k].item() == pytest.approx(0.3 - 0.6 * b / (s + 2 * b), abs=1e-7)
+        assert found.farthest[k].item() == pytest.approx(0.3 - 0.6 * b / (s + 2 * b), abs=1e-7)
         flow = torch.linalg.matrix_exp(0.1 * torch.tensor([[0.0, 1.0, 0.0], [-s, 0.0, b], [0.0, 0.0, 0.0]])).double()
         closed = flow[:2, :2].numpy() + flow[:2, 2:].numpy() @ np.array([[-2.0, -2.5]])
-        assert found.radius[1, k].item() == pytest.approx(np.abs(np.linalg.eigvals(closed)).max(), abs=1e-5)
-
-
-def test_the_worst_is_over_the_targets():
-    radius = torch.tensor([[0.5, 1.2], [0.9, 0.3]])
-    found = Spread(radius, radius.unsqueeze(-1))
-    assert found.worst.tolist() == pytest.approx([0.9, 1.2]) == found.farthest.flatten().tolist()
-    none = Spread(torch.zeros(0, 1), torch.zeros(0, 1, 1))
-    assert none.worst.tolist() == [math.inf]  # nothing rests anywhere
+        assert found.worst[k].item() == pytest.approx(np.abs(np.linalg.eigvals(closed)).max(), abs=1e-5)
+    none = _spread(loop, r[:0], find_rest(loop, r).select(torch.zeros(2, dtype=torch.bool)), xi)
+    assert none.worst.tolist() == [math.inf] * 4  # no target is held

@@ -128,12 +128,12 @@ def test_an_unstable_loop_says_so_first_and_where(loops, law):
 
 def test_drawn_plants_without_a_rest_or_that_run_away_in_flight_are_counted(good):
     others = good.spread
-    restless = replace(others, radius=others.radius.clone(), error=others.error.clone())
-    restless.radius[0, 1], restless.error[:, 1] = 1.3, 7.0
+    restless = replace(others, worst=others.worst.clone(), farthest=others.farthest.clone())
+    restless.worst[1], restless.farthest[1] = 1.3, 7.0
     found = by_name(replace(good, spread=restless))["coefficients"].values
     assert found["unstable"] == 1 and found["error"] < 7
-    restless.radius[1] = 2.0
-    restless.radius[0, 0] = torch.inf
+    restless.worst[:] = 2.0
+    restless.worst[0] = torch.inf
     both = by_name(replace(good, spread=restless))["coefficients"]
     assert both.values["unstable"] == 2 and both.severity == "weak" and str(both)
     assert by_name(good)["coefficients"].values["ran_away"] == 0
