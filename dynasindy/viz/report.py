@@ -81,21 +81,6 @@ EXACT = "With planning the policy holds a reference more exactly than without."
 WAVES = "With the model, sines and square waves are followed."
 CLAIMS = (MODEL, SOONER, EXACT, WAVES)
 
-HYPERPARAMETERS: tuple[tuple[str, str, float, str], ...] = (
-    ("Sampling Time [s]", "t_s", 0.05, "env.dt"),
-    ("Maximum Steps per episode", "-", 400, "task.max_steps"),
-    ("Critic Learning Rate", "alpha", 1e-4, "agent.critic_lr"),
-    ("Actor Learning Rate", "alpha", 1e-4, "agent.actor_lr"),
-    ("Discount Factor", "gamma", 0.995, "agent.gamma"),
-    ("Buffer Size", "D", 2e6, "replay.capacity"),
-    ("Batch Size", "K", 512, "replay.batch_size"),
-    ("Noise", "sigma", 0.15, "agent.exploration_noise"),
-    ("Noise Decay Rate", "-", 1e-3, "agent.noise_decay"),
-    ("Target Smooth Factor", "tau", 0.005, "agent.tau"),
-    ("Target Update Frequency", "-", 10, "agent.target_update_interval"),
-)
-"""Rows of the paper's table "Agent Training Hyperparameters": words, symbol, value, our key."""
-
 Coefficients = Mapping[str, Mapping[str, float]]
 Score = Mapping[str, float | None]
 
@@ -310,17 +295,6 @@ def _training(results: Results, plant: str, experiment: str) -> Made:
     figure = training_data(table["time"], table[STATES], table[INPUTS], SIGNATURE, f"Training data of {plant}")
     caption = f"What the first model of `{plant}` was fitted to: {samples} samples, {step:.3g} s apart, and the inputs."
     yield Picture(f"training_data_{plant}", figure, caption, [run.source])
-
-
-def _hyperparameters(results: Results, plant: str) -> Made:
-    names = [name for name in ("paper", "dyna") if f"{plant}_{name}_rollouts_800" in results.settings]
-    runs = {name: results.run(plant, name) for name in names or ["paper"]}
-    rows = [
-        [name, symbol, f"{value:g}", f"`{key}`", *(f"{run.setting(key):g}" for run in runs.values())]
-        for name, symbol, value, key in HYPERPARAMETERS
-    ]
-    header = ["parameter", "symbol", "the paper", "key", *(f"`experiment={name}`" for name in runs)]
-    yield TextTable(header, rows, [run.source for run in runs.values()])
 
 
 def _model_learning(results: Results, plant: str, experiment: str) -> Made:
@@ -578,7 +552,6 @@ def _listed(values: Mapping[str, float], infinite: str = "never") -> str:
 
 SECTIONS: Mapping[str, tuple[Builder, Sequence[tuple[str, ...]]]] = {
     "training_data": (_training, OURS),
-    "hyperparameters": (_hyperparameters, [("xi",)]),
     "model_learning": (_model_learning, CASES),
     "states_before": (partial(_states, episode="first"), CASES),
     "states_after": (partial(_states, episode="last"), CASES),
