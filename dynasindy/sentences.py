@@ -225,6 +225,25 @@ def _quiet(steps: Mapping[str, int], wanted: int, inputs: Mapping[str, float | N
     return f"the log is too quiet to tell of {which}, where some {wanted} are wanted: move {', or '.join(far)}"
 
 
+# --- the fit ---------------------------------------------------------------------------------------------------------
+
+
+SEPARATE = 1e6
+"""Condition number below which functions are well apart."""
+
+
+def _identifiability(rank: int, count: int, condition: float, weakest: Mapping[str, float]) -> str:
+    if rank < count:
+        which = f"{count - rank} of {count} candidate functions"
+        return f"{which} cannot be told apart from others by these data: excite {', '.join(weakest)} more, or otherwise"
+    known = f"condition number {condition:.2g}"
+    if condition < SEPARATE:
+        return f"the data can tell all {count} candidate functions apart ({known}; below {SEPARATE:,.0f} is good)"
+    return (
+        f"these of {count} candidate functions can hardly be told apart by these data ({known}): {', '.join(weakest)}"
+    )
+
+
 # --- the model -------------------------------------------------------------------------------------------------------
 
 
@@ -522,6 +541,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.target_degrees": "the targets of {state} from {low:g} to {high:g} rad look like degrees, as the log goes to "
     "{reach:.3g} rad only: give {radians:and} in <plant.low> and <plant.high>, or unit: deg in <data.states>",
     # the fit
+    "fit.identifiability": _identifiability,
     "fit.standard_errors": "coefficients{of_step:?of the change over a step} are known within {median:.2g} % of "
     "themselves in the median, and that of {least}, the least of all, within {worst:.2g} % (standard errors)",
     "fit.unscaled": "no sensor sees {states:and}, and nothing tells its unit: in any other one the model predicts the "

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,58 +14,6 @@ from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.equations import change_of
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.regression import TriangularFactor
-
-CLEAR = 1e6
-"""Condition number below which functions are well apart."""
-
-
-@dataclass(frozen=True)
-class Identifiability:
-    """Describe how well the samples separate the candidate functions.
-
-    Attributes:
-        rank: number of independent directions among the functions.
-        n_features: number of functions.
-        condition: largest over smallest singular value, columns scaled to unit norm.
-        weakest: functions in the least excited direction, with their weight in it, heaviest first.
-    """
-
-    rank: int
-    n_features: int
-    condition: float
-    weakest: tuple[tuple[str, float], ...]
-
-    @classmethod
-    def of(cls, library: Library, factor: TriangularFactor) -> Identifiability:
-        """Judge the samples behind a regression.
-
-        Args:
-            library: candidate functions.
-            factor: the samples.
-        """
-        norms = factor.norms()[: factor.n_features]
-        scaled = factor.theta() / torch.where(norms > 0, norms, 1.0)
-        _, singular, directions = torch.linalg.svd(scaled)
-        rank = int((singular > 1e-10 * singular[0]).sum())
-        weights = directions[-1]
-        order = weights.abs().argsort(descending=True)
-        weakest = [(library.names[k], float(weights[k])) for k in order.tolist() if abs(float(weights[k])) > 0.2]
-        if bool((norms == 0).any()):
-            weakest = [(library.names[k], 1.0) for k in (norms == 0).nonzero().flatten().tolist()]
-        condition = float(singular[0] / singular[-1]) if float(singular[-1]) > 0 else float("inf")
-        return cls(rank, factor.n_features, condition, tuple(weakest))
-
-    def to_text(self) -> str:
-        """Write which functions the data can tell apart, in one line."""
-        count, names = self.n_features, ", ".join(name for name, _ in self.weakest)
-        condition = f"condition number {self.condition:.2g}"
-        if self.rank < count:
-            which = f"{count - self.rank} of {count} candidate functions"
-            return f"{which} cannot be told apart from others by these data: excite {names} more, or otherwise"
-        if self.condition < CLEAR:
-            told = f"the data can tell all {count} candidate functions apart"
-            return f"{told} ({condition}; below {CLEAR:,.0f} is good)"
-        return f"these of {count} candidate functions can hardly be told apart by these data ({condition}): {names}"
 
 
 class Refined(NamedTuple):
@@ -100,49 +47,62 @@ class FitReport:
     """Summarise a fit.
 
     Attributes:
-        samples: number of transitions behind the fit.
+        library: candidate functions, with the numbers inside fitted factors.
+        coefficients: Xi, `(n_features, n_x)`.
+        factor: of averaged functions and rates of change.
         seconds: wall time [s].
-        terms: number of non-zero coefficients of each equation.
-        residual: unexplained part of each state's rate of change, 2-norm relative to the rate's; where single steps
-            were fitted, that of its change in a step.
+        samples: number of transitions behind the fit.
+        missed: part of each state's change that predictions of single steps miss, where these were fitted.
         findings: what a reader would not expect.
         dt: time that a transition takes [s].
         covariance: how well the coefficients are known; None where that is not told.
     """
 
-    samples: int
+    library: Library = field(repr=False)
+    coefficients: Tensor = field(repr=False)
+    factor: TriangularFactor = field(repr=False)
     seconds: float
-    terms: dict[str, int]
-    residual: dict[str, float]
-    _source: tuple[Library, Tensor, TriangularFactor] = field(repr=False)
+    samples: int
+    missed: dict[str, float] | None = None
     findings: tuple[Finding, ...] = ()
     dt: float | None = None
     covariance: Covariance | None = field(default=None, repr=False)
 
-    @classmethod
-    def of(
-        cls,
-        library: Library,
-        coefficients: Tensor,
-        factor: TriangularFactor,
-        seconds: float,
-        residual: dict[str, float] | None = None,
-        **more: Any,
-    ) -> FitReport:
-        """Summarise the coefficients of a fit against the factor it was made from, but for what is given."""
-        relative = factor.residual(coefficients) / factor.norms()[factor.n_features :].clamp_min(1e-300)
-        names, source = library.signature.state_names, (library, coefficients.clone(), copy(factor))
-        terms = dict(zip(names, (coefficients != 0).sum(0).tolist(), strict=True))
-        residual = residual or dict(zip(names, relative.tolist(), strict=True))
-        return cls(**{"samples": factor.count} | more, seconds=seconds, terms=terms, residual=residual, _source=source)
+    @property
+    def terms(self) -> dict[str, int]:
+        """Number of non-zero coefficients of each equation."""
+        return dict(zip(self.library.signature.state_names, (self.coefficients != 0).sum(0).tolist(), strict=True))
+
+    @property
+    def residual(self) -> dict[str, float]:
+        """Unexplained part of each state's rate of change, 2-norm relative to the rate's; or what is `missed`."""
+        rates = self.factor.targets().norm(dim=0).clamp_min(1e-300)
+        relative = (self.factor.residual(self.coefficients) / rates).tolist()
+        return self.missed or dict(zip(self.library.signature.state_names, relative, strict=True))
+
+    @property
+    def identifiability(self) -> Finding:
+        """How well the samples separate the functions.
+
+        That is the rank of their columns, the condition number of these in unit norm, and the functions of the least
+        excited direction with their weights in it, heaviest first.
+        """
+        theta, names = self.factor.theta(), self.library.names
+        norms = theta.norm(dim=0)
+        _, singular, directions = torch.linalg.svd(theta / torch.where(norms > 0, norms, 1.0))
+        rank, weights = int((singular > 1e-10 * singular[0]).sum()), directions[-1].tolist()
+        order = sorted(range(len(names)), key=lambda k: -abs(weights[k]))
+        weakest = {names[k]: 1.0 for k in (norms == 0).nonzero().flatten().tolist()}
+        weakest = weakest or {names[k]: weights[k] for k in order if abs(weights[k]) > 0.2}
+        condition = float(singular[0] / singular[-1])
+        return note("fit.identifiability", rank=rank, count=len(names), condition=condition, weakest=weakest)
 
     def told_apart(self) -> Tensor:
         """Return the part of each function that the others of its equation leave over, 0 to 1, `(n_features, n_x)`.
 
         Of a function of which they leave over next to nothing, the data do not tell the coefficient: large ones cancel.
         """
-        _, coefficients, factor = self._source
-        scaled, parts = factor.theta(), torch.zeros_like(coefficients)
+        coefficients, scaled, parts = self.coefficients, self.factor.theta(), torch.zeros_like(self.coefficients)
         scaled = scaled / scaled.norm(dim=0).clamp_min(1e-300)
         for i in range(coefficients.shape[1]):
             active = coefficients[:, i].nonzero().flatten()
@@ -154,8 +114,7 @@ class FitReport:
         """How well the coefficients are known; nothing where that is not told."""
         if self.covariance is None:
             return []
-        library, xi, _ = self._source
-        shares = 100 * self.covariance.shares(xi)
+        library, shares = self.library, 100 * self.covariance.shares(self.coefficients)
         worst = int(shares.argmax())
         feature, state = int(self.covariance.features[worst]), int(self.covariance.states[worst])
         return [
@@ -173,14 +132,11 @@ class FitReport:
         each = f" of {self.dt:g} s" if self.dt else ""
         lines = [f"fit of {self.samples} transitions{each}, which took {self.seconds:.3g} s"]
         counts = {name: f"{count} term{'s' * (count != 1)}" for name, count in self.terms.items()}
-        library, _, factor = self._source
-        moves, it = ("'", "it") if library.step is None else ("[k+1] - {0}[k]", f"it, {CHANGE},")
+        moves, it = ("'", "it") if self.library.step is None else ("[k+1] - {0}[k]", f"it, {CHANGE},")
         simulated = any(each.code == "fit.trajectories" for each in self.findings)  # then it is noise of single samples
         for state, part in self.residual.items():
             left = f"{100 * part:.3g} % of {it} stays unexplained (RMS), noise of the samples included"
             left = f"nothing of {it} stays unexplained" if part <= EXACT else left  # what is not a number is not exact
             missed = "" if simulated else f"; {left}"
             lines.append(f"  {state}{moves.format(state)}: {counts[state]}{missed}")
-        known = [str(each) for each in self.accuracy]
-        findings = map(line, self.findings)
-        return "\n".join([*lines, *known, *findings, Identifiability.of(library, factor).to_text()])
+        return "\n".join([*lines, *map(str, self.accuracy), *map(line, self.findings), str(self.identifiability)])

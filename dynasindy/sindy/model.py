@@ -381,17 +381,17 @@ class SindyModel(WorldModel):
         self.samples, findings = len(data), (*cut, *refined.findings)
         if self.refinement is not None:
             findings += (*_unmoved_shapes(self.library, self.coefficients),)
-        return FitReport.of(
+        return FitReport(
             self.library,
-            self.coefficients,
+            self.coefficients.clone(),
             factor,
             time.perf_counter() - start,
-            # It may be that of fewer rows, each of them the average of many transitions.
-            samples=int(rows_after_delay(data, self.delay).sum()),
-            residual=refined.missed,
-            findings=findings,
-            dt=data.dt,
-            covariance=self.covariance,
+            # The factor may be that of fewer rows, each of them the average of many transitions.
+            int(rows_after_delay(data, self.delay).sum()),
+            refined.missed,
+            findings,
+            data.dt,
+            self.covariance,
         )
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:

@@ -55,7 +55,7 @@ def report_of(model: SindyModel, apart: float) -> FitReport:
     """Return the report of a fit to two columns, with so small an angle between them, in samples of 10 ms."""
     columns = torch.tensor([[1.0, math.cos(math.asin(apart))], [0.0, apart]], dtype=torch.float64)
     factor = TriangularFactor((columns, torch.zeros(2, 1, dtype=torch.float64)))
-    return FitReport.of(model.library, model.coefficients, factor, 0.0, dt=0.01)
+    return FitReport(model.library, model.coefficients, factor, 0.0, 2, dt=0.01)
 
 
 def log_of(*columns: float) -> Transitions:

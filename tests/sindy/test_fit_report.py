@@ -24,7 +24,7 @@ def rows(seed: int = 0, noise: float = 0.3) -> tuple[torch.Tensor, torch.Tensor]
 
 def report(data) -> tuple[FitReport, TriangularFactor]:
     factor = TriangularFactor(data)
-    return FitReport.of(LIBRARY, XI, factor, 0.25, dt=0.01), factor
+    return FitReport(LIBRARY, XI, factor, 0.25, 90, dt=0.01), factor
 
 
 def test_unexplained_parts_are_those_of_the_samples():
@@ -50,7 +50,7 @@ def test_the_text_says_how_well_coefficients_are_known():
 def test_coefficients_of_a_difference_equation_are_those_of_the_change_in_a_step():
     _, factor = report(rows())
     known = Covariance(torch.tensor([2]), torch.tensor([1]), torch.diag(torch.tensor([0.25])).double())
-    stepped = replace(FitReport.of(LIBRARY.with_step(0.01), XI, factor, 0.25, dt=0.01), covariance=known)
+    stepped = replace(FitReport(LIBRARY.with_step(0.01), XI, factor, 0.25, 90, dt=0.01), covariance=known)
     (known,) = stepped.accuracy
     assert known.values["worst"] == pytest.approx(25) and known.values["of_step"]
     assert known.values["least"] == "u in the change of b"
@@ -66,6 +66,6 @@ def test_what_the_others_of_an_equation_leave_over_of_a_function_is_the_sine_of_
     theta[0, 1], theta[1, 1] = 3 * np.cos(angle), 3 * np.sin(angle)
     factor = TriangularFactor((theta, rest))
     xi = torch.tensor([[1.0, 1.0], [1.0, 0.0], [1.0, 1.0]], dtype=torch.float64)
-    told = FitReport.of(LIBRARY, xi, factor, 0.0).told_apart()
+    told = FitReport(LIBRARY, xi, factor, 0.0, 9).told_apart()
     assert told[:, 0].tolist() == pytest.approx([np.sin(angle), np.sin(angle), 1.0])
     assert told[:, 1].tolist() == pytest.approx([1.0, 0.0, 1.0])
