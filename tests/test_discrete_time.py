@@ -50,13 +50,13 @@ def test_a_fit_that_fails_leaves_the_model_as_it_was():
     model.fit(steps_of_the_map(40))
     data = steps_of_the_map(30)
     before = model.equations(), model.step, model.samples
-    errors = model.covariance.matrix
+    errors = model.covariance.factor
     moved = model.predict(data.x, data.u, DT)
     with pytest.raises(ValueError, match="1 of 30 samples"):
         model.fit(replace(data, u=data.u.index_fill(0, torch.tensor(2), torch.inf)))
     assert (model.equations(), model.step, model.samples) == before and model.step == DT
     assert torch.equal(model.predict(data.x, data.u, DT), moved)
-    assert torch.equal(model.covariance.matrix, errors)
+    assert torch.equal(model.covariance.factor, errors)
 
 
 def pendulum(each):

@@ -31,8 +31,9 @@ from dynasindy.progress import report_progress
 from dynasindy.safe_io import write_json, write_text
 from dynasindy.sentences import error_of, line, lines, verdict_lines
 from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.delay import delay_inputs
-from dynasindy.sindy.equations import coefficient_lines, coefficient_tables
+from dynasindy.sindy.equations import coefficient_tables, left_side, mapping
 from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
@@ -325,8 +326,35 @@ def _errors(model: SindyModel) -> list[str]:
         if bool((model.constraints.free & (model.coefficients != 0)).any()):
             why = "the refinement, which tells them, found no equations, or ones that run away from the data"
         return ["", f"coefficients have no standard errors (±): {why}"]
-    errors = model.covariance.table(model.coefficients.shape)
-    return ["", "coefficients and their standard errors", *coefficient_lines(model.library, model.coefficients, errors)]
+    return ["", "coefficients and their standard errors", *_coefficient_lines(model, model.covariance)]
+
+
+def _coefficient_lines(model: SindyModel, known: Covariance) -> list[str]:
+    """Write a line for each coefficient that was fitted, such as `v'  -9.81 ± 0.03  sin(p)`.
+
+    What a coefficient stands before comes last, as in an equation, so that a long function leaves the others in line.
+    Of a difference equation it is that of the right side, whose coefficients are the step times those of the rates.
+    """
+    library, table = mapping(model.library, model.coefficients)
+    place = {feature.key: k for k, feature in enumerate(library.features)}
+    sides = [left_side(library, state) for state in library.signature.state_names]
+    errors = ((library.step or 1.0) * known.errors).tolist()
+    each = zip(known.states.tolist(), known.features.tolist(), errors, strict=True)
+    fitted = sorted((i, place[model.library.features[k].key], error) for i, k, error in each if error)
+    found = [(sides[i], _plus_minus(float(table[k, i]), error), library.names[k]) for i, k, error in fitted]
+    wide, long = (max((len(row[k]) for row in found), default=0) for k in (0, 1))
+    return [f"{name:<{wide}}  {number:<{long}}  {feature}" for name, number, feature in found]
+
+
+def _plus_minus(value: float, error: float) -> str:
+    """Write a number and its standard error, the error to two digits: `1.2340 ± 0.0050`, `(3.10 ± 0.20)e-07`."""
+    exponent = math.floor(math.log10(max(abs(value), error)))
+    scale = exponent if not -4 < exponent < 6 else 0
+    size, spread = value / 10.0**scale, error / 10.0**scale
+    # 9.96 written to two digits is 10: the error tells its digits once it is rounded.
+    digits = max(0, 1 - math.floor(math.log10(float(f"{spread:.1e}"))))
+    written = f"{size:.{digits}f} ± {spread:.{digits}f}"
+    return f"({written})e{scale:+03d}" if scale else written
 
 
 def describe_restarts(data: Transitions) -> str:

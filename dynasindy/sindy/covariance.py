@@ -39,15 +39,6 @@ class Covariance(NamedTuple):
         """Return the standard error of each coefficient, `(P,)`."""
         return self.factor.norm(dim=-1)
 
-    @property
-    def matrix(self) -> Tensor:
-        """Return the covariance, `(P, P)`."""
-        return self.factor @ self.factor.mT
-
-    def table(self, shape: Sequence[int]) -> Tensor:
-        """Return the standard errors as a table of the given shape, `(n_features, n_x)`, zero of other coefficients."""
-        return Parameters(self.features, self.states).write(torch.zeros(*shape, dtype=torch.float64), self.errors)
-
     def shares(self, xi: Tensor) -> Tensor:
         """Return the standard errors as shares of coefficients `(n_features, n_x)`, `(P,)`."""
         return self.errors / xi[self.features, self.states].abs()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import torch
@@ -47,18 +46,18 @@ def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[s
                 above, sign = above[1:], "-"
             joint = (" - " if sign else " + ") if written else sign
             written += f"{joint}{above} {quotient}"
-        lines.append(f"{_left_side(library, state)} = {written or '0'}")
+        lines.append(f"{left_side(library, state)} = {written or '0'}")
     return lines
 
 
-def _left_side(library: Library, state: str) -> str:
+def left_side(library: Library, state: str) -> str:
     """Return the left side of a state's equation: its rate, or its next value."""
     return f"{state}'" if library.step is None else f"{state}[k+1]"
 
 
 def change_of(library: Library, state: str) -> str:
     """Return what the coefficients of a state are those of: its rate, or its change in a step of the equation."""
-    return _left_side(library, state) if library.step is None else f"the change of {state}"
+    return left_side(library, state) if library.step is None else f"the change of {state}"
 
 
 def mapping(library: Library, coefficients: Tensor) -> tuple[Library, Tensor]:
@@ -88,44 +87,6 @@ def mapping(library: Library, coefficients: Tensor) -> tuple[Library, Tensor]:
     return whole, table
 
 
-def coefficient_lines(library: Library, coefficients: Tensor, errors: Tensor) -> list[str]:
-    """Write a line for each coefficient that has a standard error, such as `v'  -9.81 ± 0.03  sin(p)`.
-
-    What a coefficient stands before comes last, as in an equation, so that a long function leaves the others in line.
-
-    Of a difference equation it is that of the right side, whose coefficients are the step times those of the rates.
-
-    Args:
-        library: candidate functions.
-        coefficients: Xi, `(n_features, n_x)`.
-        errors: standard errors, zero of coefficients that were not fitted, `(n_features, n_x)`.
-    """
-    whole, table = mapping(library, coefficients)
-    place = {feature.key: k for k, feature in enumerate(whole.features)}
-    spread = torch.zeros_like(table)
-    spread[[place[feature.key] for feature in library.features]] = (library.step or 1.0) * errors.to(table)
-    left = [_left_side(library, state) for state in library.signature.state_names]
-    found = [
-        (left[i], _plus_minus(float(xi), float(error)), whole.names[k])
-        for i in range(len(left))
-        for k, (xi, error) in enumerate(zip(table[:, i], spread[:, i], strict=True))
-        if error
-    ]
-    wide, long = (max((len(row[k]) for row in found), default=0) for k in (0, 1))
-    return [f"{name:<{wide}}  {number:<{long}}  {feature}" for name, number, feature in found]
-
-
-def _plus_minus(value: float, error: float) -> str:
-    """Write a number and its standard error, the error to two digits: `1.2340 ± 0.0050`, `(3.10 ± 0.20)e-07`."""
-    exponent = math.floor(math.log10(max(abs(value), error)))
-    scale = exponent if not -4 < exponent < 6 else 0
-    size, spread = value / 10.0**scale, error / 10.0**scale
-    # 9.96 written to two digits is 10: the error tells its digits once it is rounded.
-    digits = max(0, 1 - math.floor(math.log10(float(f"{spread:.1e}"))))
-    written = f"{size:.{digits}f} ± {spread:.{digits}f}"
-    return f"({written})e{scale:+03d}" if scale else written
-
-
 def format_sum(terms: Sequence[tuple[str, float]], digits: int) -> str:
     """Write coefficients and functions as a sum."""
     written = ""
@@ -150,7 +111,7 @@ def coefficient_tables(library: Library, coefficients: Tensor) -> dict[str, str]
 
     library, coefficients = mapping(library, coefficients)
     states, units = library.signature.state_names, library.signature.state_units
-    left = [_left_side(library, state) for state in states]
+    left = [left_side(library, state) for state in states]
     rates = (f"d({state})/dt [{unit}/s]" for state, unit in zip(states, units, strict=True))
     steps = (f"{side} [{unit}]" for side, unit in zip(left, units, strict=True))
     table = pd.DataFrame(coefficients.numpy(), library.names, left)

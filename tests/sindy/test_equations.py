@@ -6,8 +6,9 @@ import io
 import pytest
 import torch
 
+from dynasindy.identification.identify import _coefficient_lines
+from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.equations import (
-    coefficient_lines,
     coefficient_tables,
     equations,
 )
@@ -101,6 +102,7 @@ def test_a_difference_equation_is_written_as_what_a_state_is_next():
     ],
 )
 def test_an_error_has_two_digits_and_its_number_as_many_places(value, error, written):
-    library = Library(Signature(("v",), ("m/s",), (), (1.0,)), [CONSTANT])
-    xi, errors = (torch.tensor([[number]], dtype=torch.float64) for number in (value, error))
-    assert coefficient_lines(library, xi, errors) == [f"v'  {written}  1"]
+    model = SindyModel(signature := Signature(("v",), ("m/s",), (), (1.0,)), Library(signature, [CONSTANT]))
+    model.coefficients, errors = (torch.tensor([[number]], dtype=torch.float64) for number in (value, error))
+    place = torch.zeros(1, dtype=torch.int64)
+    assert _coefficient_lines(model, Covariance(place, place, errors)) == [f"v'  {written}  1"]
