@@ -5,7 +5,8 @@ from __future__ import annotations
 import ast
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -109,11 +110,6 @@ _EVERYWHERE = ("sin", "cos", "abs", "sign", "exp", "tanh", "bell", "per_cos2")
 """Functions of the package of which a difference may be the argument, as they have a value at each number."""
 
 
-def is_registered(name: str) -> bool:
-    """Return whether there is a function of that name."""
-    return name in _REGISTRY
-
-
 def _of_one(name: str) -> str:
     """Return the name of the function of one variable that one of a sum or a difference is made of, or the name."""
     return name[:-4].rstrip("_") if name not in _REGISTRY and name[-4:] in _SIGN_OF else name
@@ -134,10 +130,18 @@ def of_two(name: str, sign: str) -> str:
     return f"{name}_sum" if sign == "+" else f"{name}_gap"
 
 
-def unregister_function(name: str) -> None:
-    """Forget a function, unless it comes with the package."""
-    if name not in _BUILT_IN:
-        _REGISTRY.pop(name, None)
+@contextmanager
+def registering(formulas: Mapping[str, str]) -> Iterator[None]:
+    """Make functions of a file available, and forget them again where reading it fails within."""
+    before = dict(_REGISTRY)
+    try:
+        for name, formula in formulas.items():
+            register_function(name, formula)
+        yield
+    except BaseException:
+        _REGISTRY.clear()
+        _REGISTRY.update(before)
+        raise
 
 
 def register_function(name: str, formula: str) -> Function:

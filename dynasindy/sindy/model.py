@@ -33,13 +33,7 @@ from dynasindy.sindy.covariance import Covariance, of_rates
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay
 from dynasindy.sindy.equations import equations, require_finite
 from dynasindy.sindy.fit_report import FitReport, Refined
-from dynasindy.sindy.functions import (
-    FunctionError,
-    formula_texts,
-    is_registered,
-    register_function,
-    unregister_function,
-)
+from dynasindy.sindy.functions import FunctionError, formula_texts, registering
 from dynasindy.sindy.library import Constraints, Feature, Library
 from dynasindy.sindy.named_libraries import GENERAL, LibraryBuilder, build_library
 from dynasindy.sindy.reconstruction import (
@@ -499,18 +493,12 @@ class SindyModel(WorldModel):
         with reading(source):
             if not isinstance(given, dict) or given.get("format") != FORMAT:
                 raise ValueError(f"it is not of the format {FORMAT!r} that SindyModel.save writes")
-            new = [name for name in given.get("functions", {}) if not is_registered(name)]
             try:
-                for name, formula in given.get("functions", {}).items():
-                    register_function(name, formula)
-                return _read(given)
-            except BaseException as error:  # any: a file that is damaged leaves nothing behind
-                for name in new:
-                    unregister_function(name)
-                if isinstance(error, RuntimeError):  # of torch, or of too many brackets
-                    raise ValueError(str(error)) from error
-                if not isinstance(error, FunctionError):
-                    raise
+                with registering(given.get("functions", {})):
+                    return _read(given)
+            except RuntimeError as error:  # of torch, or of too many brackets
+                raise ValueError(str(error)) from error
+            except FunctionError as error:
                 raise FunctionError(f"{source} cannot be used here: {error}") from error
 
     def _checked(self, transitions: Transitions) -> Transitions:
@@ -729,12 +717,12 @@ def _covariance(library: Library, data: dict[str, Any] | None) -> Covariance | N
     if data is None:
         return None
     each = [
-        (library.index(name), i, _number(error), data["correlation_factor"][state][name].split())
+        (library.index(name), i, error, data["correlation_factor"][state][name].split())
         for i, state in enumerate(library.signature.state_names)
         for name, error in data["standard_errors"][state].items()
     ]
     features, states, errors, texts = zip(*each, strict=True)
-    rows = [torch.tensor([_number(float(number)) for number in text], dtype=torch.float64) for text in texts]
+    rows = [torch.tensor([*map(float, text)], dtype=torch.float64) for text in texts]
     if any(not 0 < len(row) <= LARGEST_FACTOR for row in rows) or min(errors) < 0:
         raise TypeError("its uncertainty has no standard errors of 0 or more, each with its correlations")
     sizes = torch.tensor(errors, dtype=torch.float64).unsqueeze(-1)
@@ -743,49 +731,25 @@ def _covariance(library: Library, data: dict[str, Any] | None) -> Covariance | N
 
 
 def _read(data: dict[str, Any]) -> SindyModel:
-    signature = _signature(data["signature"])
-    step = data.get("step")
-    if step is not None and not 0 < (step := _number(step)) <= LONGEST:
-        raise TypeError(f"step, that of its difference equation, is {step} s; allowed is a time up to {LONGEST:g} s")
-    library = Library(signature, [_feature(f) for f in data["library"].values()], step=step)
-    given = data.get("constraints", {})
-    allowed = {state: each["free"] for state, each in given.items()}
-    fixed = {state: _numbers(each["given"]) for state, each in given.items()}
-    place, found = {name: k for k, name in enumerate(library.names)}, torch.zeros(len(library), signature.n_x).double()
-    for i, state in enumerate(signature.state_names):
-        for name, value in _numbers(data["coefficients"][state]).items():
-            found[place[name] if name in place else library.index(name), i] = value
-    if not 0 <= (delay := _number(data.get("delay", 0.0))) <= LONGEST:
-        raise TypeError(f"delay is {delay} s; allowed is 0 to {LONGEST:g} s")
-    model = SindyModel(signature, library, allowed=allowed, fixed=fixed)
-    model.delay = delay
-    model.set_coefficients(found)
-    model.covariance = _covariance(library, data.get("uncertainty"))
-    model.linear_inputs = tuple(data.get("linear_inputs", ()))
-    if not set(model.linear_inputs) <= set(signature.input_names):
-        raise TypeError(
-            f"linear_inputs are {', '.join(map(str, model.linear_inputs))[:80]}, of which some are no inputs"
-        )
-    return model
-
-
-def _numbers(values: dict[str, Any]) -> dict[str, float]:
-    return {name: _number(value) for name, value in values.items()}
-
-
-def _number(value: Any) -> float:
-    if type(value) not in (int, float) or not math.isfinite(value):
-        raise TypeError(f"{str(value)[:40]!r} stands where a finite number belongs")
-    return float(value)
-
-
-def _signature(words: dict[str, Any]) -> Signature:
+    words, step, delay = data["signature"], data.get("step"), data.get("delay", 0.0)
     if not all(isinstance(given, list) for given in words.values()) or len(words["state_names"]) > LARGEST_SYSTEM:
         raise TypeError(f"its signature is no lists of names, units and ranges of up to {LARGEST_SYSTEM} states")
-    return Signature(**words)
-
-
-def _feature(factors: list[list[Any]]) -> Feature:
-    if any(len(factor) not in (4, 5) or not isinstance(factor[0], list) for factor in factors):
-        raise TypeError("a function has no variables, name, power and frequency")
-    return Feature.from_list([[*factor[:3], *map(_number, factor[3:])] for factor in factors])
+    if not 0 <= delay <= LONGEST or (step is not None and not 0 < step <= LONGEST):
+        raise TypeError(f"its delay is {delay} s and its step {step} s; allowed are times up to {LONGEST:g} s")
+    signature, given = Signature(**words), data.get("constraints", {})
+    library = Library(signature, map(Feature.from_list, data["library"].values()), step=step)
+    allowed, fixed = ({state: each[key] for state, each in given.items()} for key in ("free", "given"))
+    model = SindyModel(signature, library, allowed=allowed, fixed=fixed)
+    place, found = {name: k for k, name in enumerate(library.names)}, torch.zeros_like(model.coefficients)
+    for i, state in enumerate(signature.state_names):
+        for name, value in data["coefficients"][state].items():
+            found[place[name] if name in place else library.index(name), i] = value
+    model.set_coefficients(found)
+    model.delay, model.covariance = float(delay), _covariance(library, data.get("uncertainty"))
+    numbers = [found, model.constraints.offset, *([model.covariance.factor] if model.covariance else [])]
+    if not all(bool(each.isfinite().all()) for each in numbers):
+        raise TypeError("some of its numbers are not finite")
+    model.linear_inputs = tuple(data.get("linear_inputs", ()))
+    if not set(model.linear_inputs) <= set(signature.input_names):
+        raise TypeError(f"linear_inputs are {str(model.linear_inputs)[:80]}, of which some are no inputs")
+    return model

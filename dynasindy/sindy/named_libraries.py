@@ -1,4 +1,4 @@
-"""Named libraries, built from a signature: the two of the paper, rotor, mechanics, polynomial, Fourier."""
+"""Named libraries, built from a signature: the two of the paper, rotor, mechanics, polynomial."""
 
 from __future__ import annotations
 
@@ -185,29 +185,6 @@ def polynomial(
     return Library(signature, (Feature.of(f for n in group for f in variable(n).factors) for group in groups))
 
 
-def fourier(
-    signature: Signature,
-    n_frequencies: Annotated[int, range(1, 101), LIMIT] = 1,
-    variables: Iterable[str] | None = None,
-) -> Library:
-    """Build sin(k z) and cos(k z) for k = 1..n_frequencies.
-
-    Args:
-        signature: names of states and inputs.
-        n_frequencies: number of harmonics.
-        variables: states and inputs to use; all by default.
-    """
-    names = tuple(variables) if variables is not None else _variables(signature)
-    harmonics = range(1, n_frequencies + 1)
-    return Library(signature, (of(f, n, frequency=float(k)) for k in harmonics for n in names for f in ("sin", "cos")))
-
-
-def sum_of(signature: Signature, libraries: Iterable[LibraryBuilder]) -> Library:
-    """Unite libraries given as builders (a config's `libraries` list of partials)."""
-    built = [build(signature) for build in libraries]
-    return Library(signature, [f for library in built for f in library.features])
-
-
 def auto(signature: Signature, dry: Iterable[Feature] = ()) -> Library:
     """Build what suits the units: quadratic polynomials, or for angles and their rates the functions of mechanics.
 
@@ -225,9 +202,8 @@ def auto(signature: Signature, dry: Iterable[Feature] = ()) -> Library:
         pulls = [of(word, name) for name in tilts for word in ("sin", "cos")]
         return Library(signature, [*polynomial(signature).features, *pulls])
     others = [name for name, unit in units if unit not in ("rad", "rad/s")]
-    return sum_of(
-        signature, [partial(mechanical, dry=dry), partial(polynomial, variables=[*others, *signature.input_names])]
-    )
+    powers = polynomial(signature, variables=[*others, *signature.input_names])
+    return Library(signature, [*mechanical(signature, dry).features, *powers.features])
 
 
 def auto_rig(signature: Signature) -> Library:
@@ -256,7 +232,6 @@ NAMED: dict[str, LibraryBuilder] = {
     "rotor_rig": partial(rotor, friction=True, cable=True),  # for logs of a real rig
     "rotor_reaction": partial(rotor, reaction=True, friction=True),  # for the Feedback rig
     "polynomial": polynomial,
-    "fourier": fourier,
     "mechanical": mechanical,
     "auto": auto,
     "auto_rig": auto_rig,

@@ -9,7 +9,7 @@ from one_period import one_period
 
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.codegen import generate, write_program
-from dynasindy.sindy.functions import register_function, unregister_function
+from dynasindy.sindy.functions import register_function
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
 from dynasindy.sindy.named_libraries import build_library
 from dynasindy.systems import Tras, integrate
@@ -19,7 +19,7 @@ from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import Stops
 
 SIGNATURE = Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
-NAMES = ["paper_table", "paper_equation", "rotor", "rotor_reaction", "polynomial", "fourier"]
+NAMES = ["paper_table", "paper_equation", "rotor", "rotor_reaction", "polynomial"]
 
 
 def draw(*shape: int, seed: int = 0) -> torch.Tensor:
@@ -187,5 +187,3 @@ def test_a_fraction_of_whole_numbers_in_a_users_formula_is_one():
     slopes = code.sensitivities(x, u, 0.3, 1)[0][:, :, 0]
     wanted = torch.tensor([math.exp(0.1), 1.5 * (math.exp(0.1) - 1)])  # of a' = a / 3, b' = a / 2 over 0.3 s
     torch.testing.assert_close(slopes, wanted.expand(5, 2), rtol=1e-5, atol=1e-6)
-    for name in ("third_test", "half_test"):
-        unregister_function(name)

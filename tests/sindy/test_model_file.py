@@ -36,7 +36,7 @@ def written(tmp_path):
     return tmp_path / "model.json"
 
 
-@pytest.mark.parametrize("name", ["rotor_reaction", "fourier"])
+@pytest.mark.parametrize("name", ["rotor_reaction", "polynomial"])
 def test_what_is_loaded_is_what_was_saved(tmp_path, name):
     library = build_library(name, Tras().signature)
     xi = coefficients(library)

@@ -13,7 +13,6 @@ from dynasindy.sindy.named_libraries import (
     auto,
     auto_rig,
     build_library,
-    fourier,
     paper_equation,
     paper_table,
     polynomial,
@@ -46,13 +45,6 @@ def test_polynomials_are_pysindy_s(degree):
     theirs = _values(pysindy.PolynomialLibrary(degree), torch.cat([x, u], -1).numpy())
     assert theirs.shape[1] == math.comb(8 + degree, degree)
     assert _same_functions(polynomial(Xi().signature, degree)(x, u), theirs)
-
-
-@pytest.mark.parametrize("harmonics", [1, 3])
-def test_harmonics_are_pysindy_s(harmonics):
-    x, u = _wide_points()
-    theirs = _values(pysindy.FourierLibrary(harmonics), torch.cat([x, u], -1).numpy())
-    assert _same_functions(fourier(Xi().signature, harmonics)(x, u), theirs)
 
 
 def test_the_paper_s_libraries_are_made_of_pysindy_s():
