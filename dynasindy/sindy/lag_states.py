@@ -21,6 +21,7 @@ from functools import reduce
 
 import numpy as np
 import torch
+from scipy.linalg import solve_banded
 from torch import Tensor
 
 from dynasindy.findings import Finding, note
@@ -190,12 +191,10 @@ def with_lag_state(model: SindyModel, signal: str) -> SindyModel:
 
 def _lag_dynamics(signal: Tensor, data: Transitions, time: float) -> tuple[Tensor, Tensor]:
     """Return a state that follows a signal `(N,)` from rest, at the begin and the end of each interval, `(N,)` both."""
-    from scipy.signal import lfilter  # a third of a second of imports
-
     anew, left = data.begins(), math.exp(-data.dt / time)
-    stretches = np.split(signal.numpy(), anew.nonzero().flatten().tolist()[1:])
-    ends = [lfilter([1 - left], [1, -left], each, zi=[left * each[0]])[0] for each in stretches]
-    found = torch.from_numpy(np.concatenate(ends))
+    bands, force = np.ones((2, len(signal))), np.where(anew, signal, (1 - left) * signal)
+    bands[1, :-1] = np.where(anew[1:], 0.0, -left)  # each end but the first of a stretch hangs on the one before
+    found = torch.from_numpy(solve_banded((1, 0), bands, force))
     return torch.where(anew, signal, found.roll(1)), found
 
 
