@@ -60,7 +60,7 @@ LOST = 1e3
 """Times the error of the best simple model that counts at most, as of a candidate that runs away."""
 FORGOTTEN = 2**0.5
 """Error of a prediction that has nothing to do with what comes [deviations of the state]."""
-ROWS, FINAL_ROWS = 10_000, 50_000
+ROWS, FINAL_ROWS = 10_000, 30_000
 """Rows that a candidate is fitted to at most, and the best one in the end, in stretches spread evenly."""
 SHORT, FOLDS = 3000, 3
 """Samples below which several parts are kept in turn, and how many."""
@@ -492,7 +492,9 @@ class _Search:
             with _attempt():  # a regression of rates costs little: is it hopelessly behind the best simple model?
                 trial.fit(source.training.select(fold.fit_rows()))
                 if fold.score(fold.errors(trial, source)) < HOPELESS:
-                    self._fit("single steps", self._each(model), source, settings)
+                    found = self._fit("single steps", self._each(model), source, settings)
+                    if found is not None and found.score < 0:  # without that rate it is the same at best
+                        return
 
     def _each(self, model: SindyModel) -> list[SindyModel]:
         return [model] * len(self.folds)
