@@ -438,6 +438,8 @@ def check_summary(findings: Sequence[Finding]) -> str:
 
 SENTENCES: dict[str, str | Callable[..., str]] = {
     # reading
+    "log.encoding": "the file is not UTF-8 and is read as Windows-1252: {columns:list}; where these are not its "
+    "headings, save it as UTF-8",
     "log.no_headings": "the file has no headings; its columns are called {names:list}",
     "log.long_format": "each row holds one signal; each of them has a column: {signals:list}",
     "log.title_lines": "{count} lines above the headings were skipped",

@@ -42,6 +42,8 @@ LOST = frozenset(("nan", "-nan", "n/a", "#n/a", "na", "<na>", "null", "none", "#
 """Words for a value that was not measured."""
 UNIT_LABEL = re.compile(r"(?i)unit|einheit")
 """How a line of units is labelled, which may then stand anywhere above."""
+FOREIGN = re.compile(r"[^\x00-\x7f\W_µºª]")
+"""Letters beyond ASCII, which mean something else in each encoding but UTF-8."""
 Raw = tuple[pd.DataFrame, list[Finding]]
 
 
@@ -61,8 +63,11 @@ def read_file(path: Path) -> Raw:
         raise FileNotFoundError(f"{path} does not exist or is no file; allowed is the file of a log: correct {key}")
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        with path.open(encoding=_encoding(path), errors="replace", newline="") as file:
-            return _read_text(path, file)
+        encoding = _encoding(path)
+        with path.open(encoding=encoding, errors="replace", newline="") as file:
+            table, findings = _read_text(path, file)
+        foreign = [name for name in map(str, table.columns) if FOREIGN.search(name)] if encoding == "cp1252" else []
+        return table, [*findings, *([note("log.encoding", columns=foreign)] if foreign else [])]
     try:
         return reader(path)
     except ImportError as error:
