@@ -17,7 +17,7 @@ from dynasindy.data.rates import with_rates
 from dynasindy.findings import Finding, note
 from dynasindy.sentences import setting
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.lag_states import completed, widened
+from dynasindy.sindy.lag_states import widened
 from dynasindy.sindy.reconstruction import rate_states, reconstruct
 from dynasindy.systems.base import WHOLE, Signature, System
 from dynasindy.systems.transitions import Transitions
@@ -136,10 +136,16 @@ class Source:
                 f"{setting('data.inputs')}, or identify the log again"
             )
         source = self.with_unmeasured(with_rates(self.signature, rates_of(model)))
-        states, parts = source.signature.state_names, (source.training, source.validation)
+        names, states = source.signature.state_names, model.signature.state_names
+        if states[: len(names)] != names or not set(states[len(names) :]) <= set(model.followed):
+            raise ValueError(
+                f"the model has the states {', '.join(states)}, the log {', '.join(names)}; give a model of "
+                "the plant that the log is of"
+            )
+        source = source.with_unmeasured(model.signature)
         linear = [name in model.linear_inputs for name in model.signature.input_names]
-        training, validation = (completed(part, states, model).with_linear_inputs(linear) for part in parts)
-        return replace(source, signature=model.signature, training=training, validation=validation)
+        training, validation = (part.with_linear_inputs(linear) for part in (source.training, source.validation))
+        return replace(source, training=training, validation=validation)
 
 
 class DataSource(ABC):

@@ -68,7 +68,8 @@ class Writer:
     """
 
     def __init__(self, library: Library, coefficients: Tensor) -> None:
-        signature = self.signature = library.signature
+        signature, self.step = library.signature, library.step
+        self.signature = signature
         self.lines, self.written, self.constants = list[tuple[str, str]](), dict[object, str](), list[float]()
         names = {"x": signature.state_names, "u": signature.input_names}
         self.variable = {name: f"{x}[{k}]" for x, of in names.items() for k, name in enumerate(of)}
@@ -83,10 +84,10 @@ class Writer:
                 f"the model has too many terms of {len(library)}; remove some: raise the threshold"
             ) from error
 
-    def program(self, step: float | None = None) -> Program:
-        """Return what was written; `step` is that of the difference equation."""
+    def program(self) -> Program:
+        """Return what was written, with the step of a difference equation."""
         text = tuple(self.lines), tuple(self.results)
-        return Program(self.signature.n_x, self.signature.n_u, *text, tuple(self.constants), step)
+        return Program(self.signature.n_x, self.signature.n_u, *text, tuple(self.constants), self.step)
 
     def _line(self, key: object, expression: str) -> str:
         if key not in self.written:
@@ -204,24 +205,11 @@ class _TorchWriter(Writer):
         return f"torch.add({total}, {value}, alpha={c!r})"
 
 
-def write_program(library: Library, coefficients: Tensor) -> Program:
-    """Return the sparse model dx/dt = Xi' Theta(x, u) in formulas.
-
-    Args:
-        library: candidate functions.
-        coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
-
-    Raises:
-        ValueError: the model has too many terms.
-    """
-    return Writer(library, coefficients).program(library.step)
-
-
 @lru_cache(maxsize=4)
 def _program_of(library: Library, coefficients: tuple[float, ...]) -> Program:
     """Return the program of a model; the same one is simulated from other states in turn."""
     xi = torch.tensor(coefficients, dtype=torch.float64)
-    return write_program(library, xi.reshape(len(library), library.signature.n_x))
+    return Writer(library, xi.reshape(len(library), library.signature.n_x)).program()
 
 
 def simulate(

@@ -219,27 +219,6 @@ def lag_state_ranges(model: SindyModel, data: Transitions) -> dict[int, tuple[fl
     return found
 
 
-def completed(data: Transitions, names: tuple[str, ...], model: SindyModel) -> Transitions:
-    """Return a recording with all states of a model, whose followers no sensor sees.
-
-    Args:
-        data: the recording.
-        names: its states.
-        model: the model.
-
-    Raises:
-        ValueError: the model is of another plant.
-    """
-    states = model.signature.state_names
-    more = states[len(names) :]
-    if states[: len(names)] != names or not set(more) <= set(model.followed):
-        raise ValueError(
-            f"the model has the states {', '.join(states)}, the log {', '.join(names)}; give a model of "
-            "the plant that the log is of"
-        )
-    return widened(data, len(more))
-
-
 def widened(data: Transitions, count: int = 1) -> Transitions:
     """Return a recording with so many more states, which no sensor sees."""
     if not count:

@@ -28,7 +28,7 @@ from torch import Tensor
 from dynasindy.findings import Finding, note, weak
 from dynasindy.safe_io import read_json, reading, write_json
 from dynasindy.sentences import setting
-from dynasindy.sindy.codegen import Field, generate, simulate, write_program
+from dynasindy.sindy.codegen import Field, Writer, generate, simulate
 from dynasindy.sindy.covariance import Covariance, of_rates
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay
 from dynasindy.sindy.equations import equations, require_finite
@@ -167,7 +167,7 @@ class SindyModel(WorldModel):
         if not self.machine_code or x.dtype not in PRECISIONS or type(self).forward is not SindyModel.forward:
             return None
         self._forget()
-        return self._machine(x, u, lambda dtype: Machine(write_program(self.library, self.coefficients), dtype))
+        return self._machine(x, u, lambda dtype: Machine(Writer(self.library, self.coefficients).program(), dtype))
 
     def _forget(self) -> None:
         """Forget what was written of equations that have changed."""

@@ -98,7 +98,7 @@ def trajectory_sensitivities(
     library, xi = library.subset(used.nonzero().flatten().tolist()), xi[used]
     with suppress(ValueError, OSError):  # there is no compiler
         writer = _FunctionWriter(library, shapes)
-        program, numbers = writer.program(library.step), [writer.numbers.get(shape) for shape in shapes]
+        program, numbers = writer.program(), [writer.numbers.get(shape) for shape in shapes]
         return simulate_sensitivities(program, numbers, xi, own, x, u, dt, substeps, u_end, update)
     fitted = torch.zeros(2, 0).long() if update is None or update.free is None else update.free
     sizes = [x.shape[1], fitted.shape[1], len(shapes), len(parameters)]

@@ -8,7 +8,7 @@ import torch
 from one_period import one_period
 
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.codegen import generate, write_program
+from dynasindy.sindy.codegen import Writer, generate
 from dynasindy.sindy.functions import register_function
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
 from dynasindy.sindy.named_libraries import build_library
@@ -111,7 +111,7 @@ def reference(library, xi, x, u, dt, substeps, stops=None):
 def test_states_and_derivatives_equal_double_precision(names):
     library, xi = made([A, *(feature for name in names for feature in FEATURES[name])])
     x, u = drawn(67)  # not a multiple of the rows that are handled at once
-    code = Machine(write_program(library, xi))
+    code = Machine(Writer(library, xi).program())
     samples, _ = one_period(code, x, u, 0.1, 3)
     torch.testing.assert_close(samples, reference(library, xi, x, u, 0.1, 3)[0].float(), rtol=2e-5, atol=2e-6)
     a, b = code.sensitivities(x, u, 0.1, 2)
@@ -128,11 +128,11 @@ def test_stops_hold_positions_and_say_where_they_were_touched():
     xi[:, 1] = torch.tensor([0.0, 0.0, 5.0])
     stops = Stops((0,), (1,), (-0.3,), (0.4,))
     x, u = drawn(97, reach=0.5)
-    samples, touched = one_period(Machine(write_program(library, xi)), x, u, 0.4, 4, stops)
+    samples, touched = one_period(Machine(Writer(library, xi).program()), x, u, 0.4, 4, stops)
     wanted, where = reference(library, xi, x, u, 0.4, 4, stops)
     torch.testing.assert_close(samples, wanted.float(), rtol=1e-5, atol=1e-6)
     assert torch.equal(touched, where) and 10 < int(touched.sum()) < 90
-    assert not one_period(Machine(write_program(library, xi)), x, u, 0.4, 4)[1].any()
+    assert not one_period(Machine(Writer(library, xi).program()), x, u, 0.4, 4)[1].any()
 
 
 def test_a_model_is_as_its_coefficients_are_whichever_of_them_are_zero_or_one():
@@ -143,7 +143,7 @@ def test_a_model_is_as_its_coefficients_are_whichever_of_them_are_zero_or_one():
         drawn_kinds = torch.randint(4, xi.shape, generator=rng)
         changed = torch.where(drawn_kinds == 0, 0.0, torch.where(drawn_kinds == 1, 1.0, xi))
         changed = torch.where(drawn_kinds == 2, torch.full_like(xi, 3.0), changed)  # as the number in the sine
-        found = one_period(Machine(write_program(library, changed), torch.float64), x, u, 0.1, 2)[0]
+        found = one_period(Machine(Writer(library, changed).program(), torch.float64), x, u, 0.1, 2)[0]
         torch.testing.assert_close(found, reference(library, changed, x, u, 0.1, 2)[0], rtol=1e-13, atol=1e-14)
 
 
@@ -182,7 +182,7 @@ def test_a_fraction_of_whole_numbers_in_a_users_formula_is_one():
     register_function("half_test", "{0} / 2")
     library = Library(SIGNATURE, [of("third_test", "a"), of("half_test", "a")])
     xi = torch.tensor([[1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
-    code, (x, u) = Machine(write_program(library, xi)), drawn(5)
+    code, (x, u) = Machine(Writer(library, xi).program()), drawn(5)
     torch.testing.assert_close(one_period(code, x, u, 0.3, 1)[0], reference(library, xi, x, u, 0.3, 1)[0].float())
     slopes = code.sensitivities(x, u, 0.3, 1)[0][:, :, 0]
     wanted = torch.tensor([math.exp(0.1), 1.5 * (math.exp(0.1) - 1)])  # of a' = a / 3, b' = a / 2 over 0.3 s

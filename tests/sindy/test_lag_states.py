@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from dynasindy.findings import note
+from dynasindy.identification.source import Source
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.lag_states import (
     TIMES,
-    completed,
     lag_state_candidates,
     lag_state_findings,
     lag_state_ranges,
@@ -240,10 +240,15 @@ def test_a_log_lacks_followers_of_its_model_alone_and_other_names_are_another_pl
     signature = Signature(names, ("rad", "rad/s", "1"), ("u",), (1.0, 3.0, 1.0))
     words = ["w", "u", "(u - u_lagging)"]
     lagging = SindyModel(signature, words, known={"q": "w"}, allowed={"u_lagging": ["(u - u_lagging)"]})
-    whole = completed(data, ("q", "w"), lagging)
+
+    def completed(names: tuple[str, ...], model: SindyModel) -> Transitions:
+        log = Source(Signature(names, ("rad", "rad/s"), ("u",), (1.0, 3.0)), data, data)
+        return log.with_states_of(model).training
+
+    whole = completed(("q", "w"), lagging)
     assert torch.equal(whole.x[:, :2], data.x) and torch.equal(whole.x_next[:, :2], data.x_next)
     assert bool(whole.x[:, 2].isnan().all() & whole.x_next[:, 2].isnan().all())
     free = SindyModel(signature, words, known={"q": "w"})  # whose third state is any state
     for names, model in ((("w", "q"), lagging), (("q", "v"), lagging), (("q", "w"), free)):
         with pytest.raises(ValueError, match="plant"):
-            completed(data, names, model)
+            completed(names, model)
