@@ -55,7 +55,7 @@ from dynasindy.sindy.shooting import (
 from dynasindy.sindy.trajectory_fit import selection_rows
 from dynasindy.sindy.world_model import WorldModel
 from dynasindy.systems.base import PRECISIONS, Diverged, Signature
-from dynasindy.systems.integrators import moved, plain, trajectory
+from dynasindy.systems.integrators import moved
 from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import UNTOLD
 from dynasindy.systems.transitions import Transitions
@@ -207,8 +207,9 @@ class SindyModel(WorldModel):
         x, u = (t.movedim(-1, 0).contiguous().movedim(0, -1) for t in (x, u))
         return moved(self, x, u, dt, substeps)
 
+    @torch.no_grad()
     def simulate(self, x0: Tensor, u: Tensor, dt: float, substeps: int = 1, u_end: Tensor | None = None) -> Tensor:
-        """Predict trajectories open loop.
+        """Predict trajectories open loop; no derivatives are computed.
 
         Args:
             x0: start states, `(*batch, n_x)`.
@@ -220,21 +221,11 @@ class SindyModel(WorldModel):
         Returns:
             States, `(*batch, T + 1, n_x)`, the start first.
         """
-        if self._by_instructions(x0, u):
-            last = None if u_end is None else u_end.reshape(-1, *u.shape[-2:])
-            flat = x0.reshape(-1, x0.shape[-1]), u.reshape(-1, *u.shape[-2:])
-            found = simulate(self.library, self.coefficients, *flat, dt, substeps, last)
-            return torch.cat([x0.unsqueeze(-2), found.reshape(*u.shape[:-1], -1)], -2)
-        last = None if u_end is None else u_end.movedim(-2, 0)
-        states = torch.cat([x0.unsqueeze(0), trajectory(self, x0, u.movedim(-2, 0), dt, substeps, last)])
-        return states.movedim(0, -2)
-
-    def _by_instructions(self, x: Tensor, u: Tensor) -> bool:
-        """Tell whether trajectories are computed by instructions, for which nothing is compiled."""
-        if not self.machine_code or type(self).forward is not SindyModel.forward or self._forward_hooks:
-            return False
-        double = x.dtype == u.dtype == torch.float64 and x.device.type == u.device.type == "cpu"
-        return double and x.shape[:-1] == u.shape[:-2] and plain(x, u, self.coefficients)
+        x = x0.to("cpu", torch.float64).reshape(-1, x0.shape[-1])
+        inputs = u.to("cpu", torch.float64).reshape(-1, *u.shape[-2:])
+        last = None if u_end is None else u_end.to(inputs).reshape(inputs.shape)
+        found = simulate(self.library, self.coefficients, x, inputs, dt, substeps, last)
+        return torch.cat([x0.unsqueeze(-2), found.reshape(*u.shape[:-1], -1).to(x0)], -2)
 
     @property
     def followed(self) -> dict[str, str]:
