@@ -10,6 +10,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import pandas as pd
 import torch
 from torch import Tensor
 
@@ -33,7 +34,7 @@ from dynasindy.sentences import error_of, line, lines, verdict_lines
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.delay import delay_inputs
-from dynasindy.sindy.equations import coefficient_tables, left_side, mapping
+from dynasindy.sindy.equations import left_side, mapping
 from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
@@ -217,10 +218,8 @@ def identify_source(model: SindyModel, source: Source) -> Identified:
         source: the data.
 
     Raises:
-        TypeError: The model is not sparse.
         ValueError: It refuses the data.
     """
-    _require_sparse(model)
     fit = fit_log(model, source)
     model, source = fit.model, fit.source
     report_progress("prediction of the validation data")
@@ -239,14 +238,6 @@ def identify_source(model: SindyModel, source: Source) -> Identified:
     return Identified(model, source, fit.report, predicted, metrics, forecasts)
 
 
-def _require_sparse(model: object) -> None:
-    if not isinstance(model, SindyModel):
-        raise TypeError(
-            f"world_model is a {type(model).__name__}, which has no coefficients to identify; choose world_model=sindy "
-            "or another that builds a SindyModel"
-        )
-
-
 def before_fit(model: SindyModel, source: Source) -> list[Finding]:
     """Return what was read, what is wrong with it or costs the fit dearly, before the fit.
 
@@ -257,7 +248,11 @@ def before_fit(model: SindyModel, source: Source) -> list[Finding]:
     Raises:
         TypeError: The model is not sparse.
     """
-    _require_sparse(model)
+    if not isinstance(model, SindyModel):
+        raise TypeError(
+            f"world_model is a {type(model).__name__}, which has no coefficients to identify; choose world_model=sindy "
+            "or another that builds a SindyModel"
+        )
     return [*check_rates(source.training, source.signature, rates_of(model)), *source.findings]
 
 
@@ -375,5 +370,18 @@ def write_identification(found: Identified, folder: Path, before: Sequence[Findi
     findings = [*before, *(each for each in found.findings if each not in before)]
     write_json(folder / "metrics.json", {**found.metrics, "findings": records(findings)}, indent=1, finite=False)
     write_text(folder / "report.txt", "\n".join([*lines(before), to_words(found)]) + "\n")
-    for ending, text in coefficient_tables(found.model.library, found.model.coefficients).items():
+    for ending, text in _coefficient_tables(found.model).items():
         write_text(folder / f"coefficients.{ending}", text)
+
+
+def _coefficient_tables(model: SindyModel) -> dict[str, str]:
+    """Return the Xi table, a row for each function, as text of 5 and as CSV of all digits, by the endings of files."""
+    library, coefficients = mapping(model.library, model.coefficients)
+    states, units = library.signature.state_names, library.signature.state_units
+    left = [left_side(library, state) for state in states]
+    rates = [f"d({state})/dt [{unit}/s]" for state, unit in zip(states, units, strict=True)]
+    steps = [f"{side} [{unit}]" for side, unit in zip(left, units, strict=True)]
+    table = pd.DataFrame(coefficients.numpy(), library.names, left)
+    text = table.rename_axis(columns="function").to_string(float_format="{:.5g}".format, justify="right")
+    heads = rates if library.step is None else steps
+    return {"txt": text + "\n", "csv": table.to_csv(header=heads, index_label="function")}

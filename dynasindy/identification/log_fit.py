@@ -41,7 +41,7 @@ from dynasindy.sindy.lag_states import lag_state_candidates, lag_state_findings,
 from dynasindy.sindy.library import Constraints, Factor, Feature, Library, variable
 from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, is_place, is_speed, polynomial
+from dynasindy.sindy.named_libraries import PLACE, LibraryBuilder, auto, auto_rig, is_speed, polynomial
 from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import SAMPLES_EACH, fit_supported
@@ -510,7 +510,7 @@ class _Search:
         rates = known | measured
         units = dict(zip(names, signature.state_units, strict=True))
         lacking = [n for n in names if not is_speed(units[n]) and n not in rates and n not in rates.values()]
-        moving = [n for n in lacking if is_place(units[n])]  # what stands beside it, as a current, may have no rate
+        moving = [n for n in lacking if PLACE.fullmatch(units[n])]  # beside it a current, say, may have no rate
         for added in filter(None, (lacking, moving if len(moving) < len(lacking) else ())):
             wide = {n: rates.get(n, rate_name(n, signature)) for n in names if n in rates or n in added}
             source = self.source.with_rates(wide)

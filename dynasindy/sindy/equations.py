@@ -1,4 +1,4 @@
-"""Write Xi for readers: equations, text and CSV."""
+"""Write Xi for readers, as equations."""
 
 from __future__ import annotations
 
@@ -95,29 +95,6 @@ def format_sum(terms: Sequence[tuple[str, float]], digits: int) -> str:
         size = f"{abs(value):.{digits}g}"
         written += sign + (size if name == "1" else name if size == "1" else f"{size} {name}")
     return written
-
-
-def coefficient_tables(library: Library, coefficients: Tensor) -> dict[str, str]:
-    """Write the Xi table, a row for each function, as text and as CSV.
-
-    Args:
-        library: candidate functions.
-        coefficients: Xi, `(n_features, n_x)`.
-
-    Returns:
-        The texts, of 5 and of all digits, by the endings of their files: `txt` and `csv`.
-    """
-    import pandas as pd  # half a second of imports
-
-    library, coefficients = mapping(library, coefficients)
-    states, units = library.signature.state_names, library.signature.state_units
-    left = [left_side(library, state) for state in states]
-    rates = (f"d({state})/dt [{unit}/s]" for state, unit in zip(states, units, strict=True))
-    steps = (f"{side} [{unit}]" for side, unit in zip(left, units, strict=True))
-    table = pd.DataFrame(coefficients.numpy(), library.names, left)
-    text = table.rename_axis(columns="function").to_string(float_format="{:.5g}".format, justify="right")
-    heads = [*(rates if library.step is None else steps)]
-    return {"txt": text + "\n", "csv": table.to_csv(header=heads, index_label="function")}
 
 
 def require_finite(library: Library, coefficients: Tensor, source: str = "model") -> Tensor:

@@ -359,9 +359,9 @@ class SindyModel(WorldModel):
         else:
             self.set_coefficients(first)
         self.delay = 0.0
-        refined = self._refine(data, guess, None if first is None else self.initial_delay, constraints)
+        refined = self._refine(seen, None if first is None else self.initial_delay, constraints)
         if self.library is not library or self.delay:  # the functions are others now, and so are their averages
-            late = RegressionData(data, guess, rates, self.delay).delayed(self.delay)
+            late = replace(seen, longest=self.delay).delayed(self.delay)
             factor = TriangularFactor(late.rows(self.library))
         self.samples, findings = len(data), (*cut, *refined.findings)
         if self.refinement is not None:
@@ -513,27 +513,26 @@ class SindyModel(WorldModel):
         self.library = library
         return data
 
-    def _refine(self, data: Transitions, guess: Transitions, late: float | None, known: Constraints) -> Refined:
+    def _refine(self, recording: RegressionData, late: float | None, known: Constraints) -> Refined:
         """Refine the coefficients, and return what was found: what is there where there is no refinement."""
         before = Refined(self.library, self.coefficients, self.delay)
         if self.refinement is None:
             return before
         try:
-            general = self.named in GENERAL
-            found = self.refinement.run(self.library, self.coefficients, known, data, guess, late, general)
+            found = self.refinement.run(before[:2], known, recording, late, self.named in GENERAL)
         except RunsAway as error:
             raise Diverged(f"model learning: {error}") from error
         refined = require_finite(self.library, found.coefficients, "refinement")
-        free = known.free
-        if self.coefficients[free].any() and not refined[free].any():
+        if self.coefficients[known.free].any() and not refined[known.free].any():
             return before._replace(findings=(weak("fit.dropped"),))
         self.set_coefficients(refined)
         self.covariance = found.covariance
         self.library, self.delay = found.library, found.delay
-        rows = selection_rows(free, self.refinement.error == "innovation")
-        if self.refinement.method == "integral" or not self.refinement.select or len(data) <= rows:
+        rows = selection_rows(known.free, self.refinement.error == "innovation")
+        total = len(recording.measured)
+        if self.refinement.method == "integral" or not self.refinement.select or total <= rows:
             return found
-        chosen = note("fit.chosen_on", rows=rows, total=len(data), stretches=CHOSEN_STRETCHES)
+        chosen = note("fit.chosen_on", rows=rows, total=total, stretches=CHOSEN_STRETCHES)
         return found._replace(findings=(*found.findings, chosen))
 
     @property

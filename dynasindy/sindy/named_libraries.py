@@ -19,11 +19,6 @@ LINKS = -0.3
 """Where the fit of p begins for links in a row; nearer to zero a force and its quotient can hardly be told apart."""
 
 
-def is_place(unit: str) -> bool:
-    """Tell whether a unit is that of an angle or a length."""
-    return bool(PLACE.fullmatch(unit))
-
-
 def is_speed(unit: str) -> bool:
     """Tell whether a unit is that of an angle or a length per time."""
     return bool(SPEED.fullmatch(unit) or TURNING.fullmatch(unit))

@@ -20,7 +20,7 @@ from dynasindy.sindy.covariance import of_rates
 from dynasindy.sindy.delay import refine_delay, unexplained
 from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.library import Constraints, Library
-from dynasindy.sindy.reconstruction import RegressionData, has_gaps, rate_states
+from dynasindy.sindy.reconstruction import RegressionData, has_gaps
 from dynasindy.sindy.regression import Regression, Rows, TriangularFactor, fit_supported, needed_at_edge
 from dynasindy.sindy.shape_parameters import fit_shapes
 from dynasindy.sindy.shooting import Descent, RunsAway, shooting_covariance
@@ -99,37 +99,30 @@ class Refinement:
 
     def run(
         self,
-        library: Library,
-        coefficients: Tensor,
+        first: Model,
         constraints: Constraints,
-        data: Transitions,
-        guess: Transitions | None = None,
+        recording: RegressionData,
         late: float | None = None,
         general: bool = False,
     ) -> Refined:
         """Return refined coefficients, the library with its fitted factors, and the delay of the inputs.
 
         Args:
-            library: candidate functions.
-            coefficients: first estimate, `(n_features, n_x)`.
+            first: candidate functions, and a first estimate of their coefficients, `(n_features, n_x)`.
             constraints: what is known of the equations.
-            data: transitions to refine on, NaN where a state was not measured.
-            guess: the same, the states that were not measured guessed; needed where there are such states.
+            recording: what to refine on.
             late: delay of the inputs of the first estimate [s], at which the fit begins; a regression is to find it
                 where this is None.
             general: whether the library is one for any plant, of which the method `integral` takes what it needs where
                 all states were measured.
         """
-        longest, seconds = self.longest_delay, len(data) * data.dt
+        longest, seconds = self.longest_delay, len(recording.measured) * recording.measured.dt
         if longest is not None and longest >= seconds:
             raise ValueError(
                 f"longest_delay is {longest:g} s, and the data last {seconds:g} s; give a delay that they can show, or "
                 "null, where they are to tell"
             )
-        recording = RegressionData(
-            data, data if guess is None else guess, rate_states(library, constraints), longest or 0.0
-        )
-        return _Fit(self, constraints, recording, general).run((library, coefficients), late)
+        return _Fit(self, constraints, replace(recording, longest=longest or 0.0), general).run(first, late)
 
 
 @dataclass(frozen=True)

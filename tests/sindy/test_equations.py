@@ -6,12 +6,9 @@ import io
 import pytest
 import torch
 
-from dynasindy.identification.identify import _coefficient_lines
+from dynasindy.identification.identify import _coefficient_lines, _coefficient_tables
 from dynasindy.sindy.covariance import Covariance
-from dynasindy.sindy.equations import (
-    coefficient_tables,
-    equations,
-)
+from dynasindy.sindy.equations import equations
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
 from dynasindy.sindy.model import SindyModel
 from dynasindy.systems import Xi
@@ -20,6 +17,12 @@ from dynasindy.systems.base import Signature
 SIGNATURE = Signature(("alpha_p", "b"), ("rad", "m"), ("u",), (1.0, 1.0))
 LIBRARY = Library(SIGNATURE, [CONSTANT, variable("b"), variable("u", 2) * of("sin", "alpha_p"), of("cos", "alpha_p")])
 COEFFICIENTS = torch.tensor([[-0.5, 0], [1, 0], [0, 0], [-1, 1234567.8]], dtype=torch.float64)
+
+
+def tables(library: Library, xi: torch.Tensor) -> dict[str, str]:
+    model = SindyModel(library.signature, library)
+    model.library, model.coefficients = library, xi
+    return _coefficient_tables(model)
 
 
 def published() -> SindyModel:
@@ -60,7 +63,7 @@ def test_what_is_divided_by_the_same_is_written_over_it_once(values, written):
 
 def test_csv_holds_every_digit_and_the_units():
     library, xi = LIBRARY, COEFFICIENTS / 3
-    header, *rows = csv.reader(io.StringIO(coefficient_tables(library, xi)["csv"]))
+    header, *rows = csv.reader(io.StringIO(tables(library, xi)["csv"]))
     assert header == ["function", "d(alpha_p)/dt [rad/s]", "d(b)/dt [m/s]"]
     assert [row[0] for row in rows] == list(library.names)
     assert torch.equal(torch.tensor([[float(v) for v in row[1:]] for row in rows], dtype=torch.float64), xi)
@@ -68,7 +71,7 @@ def test_csv_holds_every_digit_and_the_units():
 
 def test_all_forms_hold_the_19_published_numbers():
     model = published()
-    text, numbers = (coefficient_tables(model.library, model.coefficients)[key] for key in ("txt", "csv"))
+    text, numbers = (_coefficient_tables(model)[key] for key in ("txt", "csv"))
     rows = {line[:24].strip(): line[24:].split() for line in text.splitlines()[1:]}
     assert len(rows) == 27 and sum(v != "0" for row in rows.values() for v in row) == 19
     assert rows["Omega_a^2 sin(alpha_p)"][3] == "-16.355" and rows["1"][2:] == ["0", "0.5961", "262.7", "-8.54"]
@@ -83,11 +86,11 @@ def test_a_difference_equation_is_written_as_what_a_state_is_next():
     library = Library(signature, [v, variable("u"), p * p], step=0.5)
     xi = torch.tensor([[2.0, -2.0 + 1e-13], [-0.2, 0.0], [0.0, 3.0]], dtype=torch.float64)
     assert equations(library, xi) == ["p[k+1] = p + v - 0.1 u", "v[k+1] = 1.5 p^2"]
-    text = coefficient_tables(library, xi)["txt"].splitlines()
+    text = tables(library, xi)["txt"].splitlines()
     assert text[0].split() == ["function", "p[k+1]", "v[k+1]"] and [line.split()[0] for line in text[1:]] == [
         "p", "v", "u", "p^2",
     ]  # fmt: skip
-    rows = list(csv.reader(io.StringIO(coefficient_tables(library, xi)["csv"])))
+    rows = list(csv.reader(io.StringIO(tables(library, xi)["csv"])))
     assert rows[0] == ["function", "p[k+1] [m]", "v[k+1] [m/s]"] and ["p", "1.0", "0.0"] in rows
 
 

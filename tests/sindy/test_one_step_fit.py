@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 
 from dynasindy.sindy import Refinement, shooting
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, variable
+from dynasindy.sindy.reconstruction import RegressionData
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -20,7 +21,9 @@ A, B, DT = -2.0, 3.0, 0.05
 def refined(xi, free, data, tolerance):
     """What single steps tell, from a first model on."""
     constraints = Constraints(free, torch.where(free, 0.0, xi))
-    return Refinement("one_step", rounds=0, tolerance=tolerance).run(LIBRARY, xi, constraints, data)
+    return Refinement("one_step", rounds=0, tolerance=tolerance).run(
+        (LIBRARY, xi), constraints, RegressionData.of(data, {})
+    )
 
 
 def recording(noise: float = 0.0, n: int = 400, seed: int = 0) -> Transitions:

@@ -11,6 +11,7 @@ from scipy.linalg import expm
 from dynasindy.envs.rollout_data import disturb
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, variable
+from dynasindy.sindy.reconstruction import RegressionData
 from dynasindy.sindy.regression import TriangularFactor, integral_form
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -46,9 +47,9 @@ def column(*values: float) -> torch.Tensor:
 def test_each_method_is_nearer_to_the_plant_than_the_one_before():
     data = recording(0.05)
     start = first(data)
-    once = Refinement("integral", rounds=1).run(LIBRARY, start, FREE, data)[1]
-    twice = Refinement("integral", rounds=2).run(LIBRARY, start, FREE, data)[1]
-    exact = Refinement("one_step", tolerance=1e-9).run(LIBRARY, start, FREE, data)[1]
+    once = Refinement("integral", rounds=1).run((LIBRARY, start), FREE, RegressionData.of(data, {}))[1]
+    twice = Refinement("integral", rounds=2).run((LIBRARY, start), FREE, RegressionData.of(data, {}))[1]
+    exact = Refinement("one_step", tolerance=1e-9).run((LIBRARY, start), FREE, RegressionData.of(data, {}))[1]
     errors = [error(xi) for xi in (start, once, twice, exact)]
     assert errors[1] < 0.2 * errors[0] and errors[2] <= errors[1] and errors[3] < 0.1 * errors[2]
     assert errors[3] < 1e-7
@@ -58,7 +59,9 @@ def test_what_is_given_stays_in_every_method():
     constraints = Constraints.build(LIBRARY, {}, {"y": ["y"]}, {"y": {"u": 2.9}})
     data = recording(0.02)
     for method in ("integral", "one_step", "trajectory", "auto"):
-        found = Refinement(method, window=10).run(LIBRARY, column(A, 2.9, 0, 0), constraints, data)[1]
+        found = Refinement(method, window=10).run(
+            (LIBRARY, column(A, 2.9, 0, 0)), constraints, RegressionData.of(data, {})
+        )[1]
         assert found[1, 0] == 2.9 and found[2:].flatten().tolist() == [0, 0] and found[0, 0].item() != A
 
 
@@ -130,7 +133,7 @@ def test_a_long_delay_is_told_where_single_steps_are_mostly_noise():
     moved = np.diff(y)
     x = np.array(y) + 3 * moved.std() * generator.normal(size=len(y))
     data = Transitions.from_trajectory(torch.from_numpy(x)[:, None], torch.from_numpy(u)[:, None], 1.0)
-    found = Refinement("auto", longest_delay=None).run(LIBRARY, first(data), FREE, data)
+    found = Refinement("auto", longest_delay=None).run((LIBRARY, first(data)), FREE, RegressionData.of(data, {}))
     assert found.delay == pytest.approx(late, abs=1.0)
     assert found.coefficients[:2, 0].numpy() == pytest.approx([-1 / 40, 1 / 40], rel=0.1)
 
@@ -139,7 +142,8 @@ def test_functions_that_noise_hides_from_single_steps_are_found():
     """A fifth of each state is noise, beside which no function explains a single step of 20 ms."""
     case = TEXTBOOK["van_der_pol"]
     data, library = disturb(case.clean(1)[0], 0.2, 1000), case.library()
-    alone = Refinement("one_step").run(library, case.truth(), Constraints.build(library, {}, {}, {}), data)
+    first = library, case.truth()
+    alone = Refinement("one_step").run(first, Constraints.build(library, {}, {}, {}), RegressionData.of(data, {}))
     assert not alone.coefficients.any()
     model = SindyModel(library.signature, library, Regression("bic"), Refinement("auto"))
     model.fit(data)

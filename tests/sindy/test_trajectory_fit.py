@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from dynasindy.findings import weak
 from dynasindy.sindy import Refinement, Regression, SindyModel, shooting, trajectory_fit
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, parse, variable
+from dynasindy.sindy.reconstruction import RegressionData
 from dynasindy.sindy.shooting import Descent
 from dynasindy.sindy.trajectory_fit import refine_trajectory
 from dynasindy.systems.base import Signature
@@ -99,7 +100,9 @@ def test_windows_in_which_the_model_runs_away_are_shorter_and_the_report_says_so
     y = torch.from_numpy(1 / np.sqrt(1 - 2 * dt * (np.arange(n + 1) % 8))).unsqueeze(-1)
     data = Transitions.from_trajectory(y, torch.zeros(n, 1, dtype=torch.float64), dt)
     library, xi, free = Library(SIGNATURE, [variable("y", 3)]), column(1.0), torch.ones(1, 1, dtype=torch.bool)
-    findings = refine(20).run(library, xi, Constraints(free, torch.zeros_like(xi)), data).findings
+    findings = (
+        refine(20).run((library, xi), Constraints(free, torch.zeros_like(xi)), RegressionData.of(data, {})).findings
+    )
     assert refine_trajectory(library, xi, free, data, Descent(20)).windows.length == 8
     assert findings == (weak("fit.shorter_shooting", long=20, short=8),)
 
