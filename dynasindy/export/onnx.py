@@ -172,8 +172,6 @@ class _Plain(TorchFunctionMode):
             places, values = args[1][1], args[2]
             places, values = ([places], values.unsqueeze(-1)) if isinstance(places, int) else (list(places), values)
             return args[0].index_copy_(-1, torch.tensor(places), values.clone())
-        if function is torch.add and kwargs:
-            return args[0] + kwargs["alpha"] * args[1]
         if function is torch.Tensor.repeat_interleave:  # of one sample
             return args[0].expand(*args[0].shape[:-2], args[1], args[0].shape[-1])
         if function is torch.diag_embed:

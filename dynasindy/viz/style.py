@@ -12,7 +12,7 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator, ScalarFormatter
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
 from dynasindy.data.headings import RATE_NAMES
@@ -174,25 +174,14 @@ def time_axis(axis: Axes, seconds: ArrayLike, words: str = "time") -> None:
         words: What it shows.
     """
     low, high = float(np.min(seconds, initial=np.inf)), float(np.max(seconds, initial=-np.inf))
-    unit = duration_unit(max(0.0, high - low))
+    unit, ticks = duration_unit(max(0.0, high - low)), MaxNLocator(steps=[1, 2, 5, 10])
     axis.set_xlabel(f"{words} [{unit.name}]")
-    axis.xaxis.set_major_locator(_Scaled(unit.seconds))
-    scaled = FuncFormatter(lambda value, _: f"{value / unit.seconds:g}")
-    axis.xaxis.set_major_formatter(ScalarFormatter() if unit.seconds == 1 else scaled)
+    axis.xaxis.set_major_locator(ticks)
+    if unit.seconds != 1:
+        places = ticks.tick_values(low / unit.seconds, high / unit.seconds)
+        axis.set_xticks([unit.seconds * place for place in places], [f"{place:g}" for place in places])
     if low < high:
         axis.set_xlim(low, high)
-
-
-class _Scaled(MaxNLocator):
-    """Ticks at round values of a unit that is so many times that of the data."""
-
-    def __init__(self, unit: float) -> None:
-        super().__init__(steps=[1, 2, 5, 10])
-        self.unit = unit
-
-    def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
-        """Return the places of the ticks between two values, in the unit of the data."""
-        return [self.unit * tick for tick in super().tick_values(vmin / self.unit, vmax / self.unit)]
 
 
 def legend(axis: Axes, place: Literal["above", "beside", "below"] = "beside") -> None:
@@ -200,7 +189,7 @@ def legend(axis: Axes, place: Literal["above", "beside", "below"] = "beside") ->
 
     What is drawn twice is named once.
     """
-    named = _named(axis)
+    named = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
     handles, words = list(named.values()), list(named)
     if not named:
         return
@@ -214,10 +203,6 @@ def legend(axis: Axes, place: Literal["above", "beside", "below"] = "beside") ->
         rows = -(-sum(len(name) + 6 for name in words) // ROW)
         look: dict[str, Any] = {"columnspacing": 1.2, "handlelength": 1.6, "ncols": max(1, -(-len(words) // rows))}
         axis.legend(handles, words, loc="lower right", bbox_to_anchor=(1.0, 1.0), **look)
-
-
-def _named(axis: Axes) -> dict[str, Any]:
-    return dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
 
 
 def save_figures(figures: Mapping[str, Figure], folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
