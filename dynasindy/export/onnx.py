@@ -168,10 +168,6 @@ class _Plain(TorchFunctionMode):
             return found, torch.zeros((), dtype=torch.int32)
         if function == torch.Tensor.mT.__get__:  # type: ignore[attr-defined]
             return args[0].transpose(-2, -1)
-        if function is torch.Tensor.__setitem__ and args[1][0] is ...:
-            places, values = args[1][1], args[2]
-            places, values = ([places], values.unsqueeze(-1)) if isinstance(places, int) else (list(places), values)
-            return args[0].index_copy_(-1, torch.tensor(places), values.clone())
         if function is torch.Tensor.repeat_interleave:  # of one sample
             return args[0].expand(*args[0].shape[:-2], args[1], args[0].shape[-1])
         if function is torch.diag_embed:
