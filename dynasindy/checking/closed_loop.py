@@ -245,19 +245,13 @@ class ClosedLoop:
         x, u = torch.stack(states, 1), torch.stack(inputs, 1)
         return LoopSimulation(x, u, r, self.task.outputs, self.dt, self.task.input_limits), z, covariance
 
-    def uncertain(self, z: Tensor) -> Tensor:
-        """Return the covariance of an observer that has just begun, `(*batch, n_o, n_o)`; empty without one."""
-        if self.observer is None:
-            return torch.zeros(*z.shape[:-1], 0, 0, dtype=torch.float64)
-        return self.observer.begin(self._measured(z)).covariance.clone()
-
     @torch.no_grad()
     def steady_covariance(self, z: Tensor) -> Tensor:
         """Return the covariance of the observer where z stays and nothing is lost, `(*batch, n_o, n_o)`."""
-        covariance = self.uncertain(z)
         if self.observer is None:
-            return covariance
+            return torch.zeros(*z.shape[:-1], 0, 0, dtype=torch.float64)
         observer, y, mean = self.observer, self._measured(z), z[..., self.parts["mean"]]
+        covariance = observer.begin(y).covariance.clone()
         inputs = z[..., self.parts["inputs"]].unflatten(-1, (-1, self.signature.n_u))
         ahead, slopes = observer.transition(mean, inputs)  # once: where nothing moves, the slopes stay as they are
         for _ in range(SETTLED):

@@ -120,7 +120,7 @@ def guess_rest(loop: ClosedLoop, r: Tensor) -> Tensor:
 
 def _linearise(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Linear, Tensor, Tensor]:
     """Return loops linearised at `z`, how far each moves from there in a period `(rows, n)`, and its commands."""
-    n, n_u, n_x = loop.size, loop.signature.n_u, loop.signature.n_x
+    n, n_u = loop.size, loop.signature.n_u
     scale = torch.cat([loop.scale, torch.ones(n_u), torch.tensor(loop.signature.x_scale)]).double()
     nudges = NUDGE * torch.diag(scale)
     points = torch.cat([torch.zeros_like(nudges[:1]), nudges, -nudges])
@@ -137,7 +137,6 @@ def _linearise(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tu
     slopes = ((forth - back) / (2 * NUDGE * scale.unsqueeze(-1))).mT.numpy()
     a, b, e = np.split(slopes[:, :n], [n, n + n_u], -1)
     c, _, f = np.split(slopes[:, n:], [n, n + n_u], -1)
-    assert e.shape[-1] == n_x
     return Linear(loop.dt, a, b, c, e, f), centre[:, 0, :n] - z, centre[:, 0, n:]
 
 

@@ -65,15 +65,10 @@ class IntegralAction:
         shift = (self.integral / task.error_scale).to(observation)
         beside = columns.start, observation.shape[-1] - columns.stop
         seen["observation"] = observation + torch.nn.functional.pad(shift, beside)
-        slowness = references.rate(params, t)[..., task.rated] - x[..., task.rates] if task.rates else error[..., :0]
-        self.integral = self._advanced(self.integral, error, slowness)
-        return tensordict.set("action", self.policy(seen)["action"])
-
-    def _advanced(self, integral: Tensor, error: Tensor, slowness: Tensor) -> Tensor:
-        """Return the integral a period later; `slowness` are rates of references less those of the outputs."""
         moving = torch.zeros_like(error)  # an output without a rate tells nothing of its motion
-        if self.task.rates:
-            rated = list(self.task.rated)
-            moving[..., rated] = slowness / self.task.boxes().to(error)[..., rated] / self.rate
+        if task.rates:
+            slower = references.rate(params, t)[..., task.rated] - x[..., task.rates]
+            moving[..., task.rated] = slower / box[..., task.rated] / self.rate
         steady = (error.abs() < self.band) / (1 + moving.square())
-        return (integral + self.gain * self.dt * steady * error).clamp(-self.limit, self.limit)
+        self.integral = (self.integral + self.gain * self.dt * steady * error).clamp(-self.limit, self.limit)
+        return tensordict.set("action", self.policy(seen)["action"])

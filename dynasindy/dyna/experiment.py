@@ -8,7 +8,6 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import torch
 from pydantic import Field
-from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.envs import EnvBase, TransformedEnv
 
@@ -61,25 +60,7 @@ class Components(PlantComponents):
     planner: Planner
     gate: Gate
 
-    def make_up(self, newest: TensorDictBase) -> None:
-        """Have an observer make up for a delay of the inputs that was found, where states are seen as they are.
-
-        The policy is then shown the state for the time at which its action arrives. Real rows stay, as measurements of
-        what was seen. Only the newest are estimated anew, so that of the others no reference has to be known.
-
-        Args:
-            newest: The newest real control periods, `(T,)`, as the environment returned them.
-        """
-        if self.sensing is not None or not self.world_model.delay:
-            return
-        rows = self.replay.real_in_order()
-        older, params = rows[: max(0, len(rows) - len(newest))].exclude("index"), newest["task_params"]
-        older["task_params"] = params[:1].expand(len(older), *params.shape[1:]).clone()
-        self._watch()
-        for seen_before in filter(len, (older, newest.copy())):
-            self.replay.extend_real(seen_before.set("measurement", seen_before["state"]))
-
-    def _watch(self) -> None:
+    def watch(self) -> None:
         """Put sensors without errors, and an observer, between the plant and all else."""
         sensors = Sensors(dict.fromkeys(self.plant.system.signature.state_names, Channel()))
         observer = Observer(self.world_model, sensors, self.plant)
@@ -107,7 +88,7 @@ class Components(PlantComponents):
             RuntimeError: The state is of parts of other shapes.
         """
         if "sensing" in state and self.sensing is None:
-            self._watch()
+            self.watch()
         for name, part in self._kept().items():
             part.load_state_dict(state[name])
         for name in self._drawing:

@@ -135,7 +135,15 @@ def _acting(rollout: TensorDictBase, later: float) -> TensorDictBase:
 
 def _observe(parts: Components, newest: TensorDictBase) -> None:
     """Adapt the observer, which a delay asks for, to the model on the newest real episode, and estimate that anew."""
-    parts.make_up(newest)
+    if parts.sensing is None and parts.world_model.delay:
+        # The policy is now shown the state for the time at which its action arrives. Real rows stay, as measurements of
+        # what was seen. Only the newest are estimated anew, so that of the others no reference has to be known.
+        rows, params = parts.replay.real_in_order(), newest["task_params"]
+        older = rows[: max(0, len(rows) - len(newest))].exclude("index")
+        older["task_params"] = params[:1].expand(len(older), *params.shape[1:]).clone()
+        parts.watch()
+        for seen in filter(len, (older, newest.copy())):
+            parts.replay.extend_real(seen.set("measurement", seen["state"]))
     if parts.sensing is None:
         return
     rows = parts.replay.real_in_order()

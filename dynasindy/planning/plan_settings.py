@@ -131,11 +131,7 @@ def choose_plan_settings(env: ControlEnv, rests: Equilibria | None, finest: int 
 
 
 def _narrow(task: Tracking) -> str:
-    """Say of how little of its range an input may use, if that is little; empty if not.
-
-    A policy answers in [-1, 1]. What it answers beyond such limits is cut off and teaches nothing, so it begins as a
-    regulator, whose answers lie within them.
-    """
+    """Say of how little of its range an input may use, if little; answers of a policy beyond it teach nothing."""
     ends = torch.tensor(task.signature.input_limits or ((-1.0, 1.0),) * task.signature.n_u)
     share = float(((task.input_limits[1] - task.input_limits[0]) / (ends[:, 1] - ends[:, 0])).min())
     return f"an input may use {100 * share:.2g} % of its range only" if share < NARROW else ""

@@ -234,17 +234,13 @@ def build(results: Results, folder: Path) -> list[Path]:
     Raises:
         DamagedFileError: A saved file is not what a section expects.
     """
-    sections, page = build_sections(results), folder / "report.md"
+    page = folder / "report.md"
+    with reading(results.folder):
+        sections = {name: build_section(results, name) for name in SECTIONS}
     write_text(page, render_markdown(sections))
     pictures = [part for section in sections.values() for part in section.parts if isinstance(part, Picture)]
     with matplotlib.rc_context(SVG):
         return [page, *save_figures({part.name: part.figure for part in pictures}, folder / "figures", ["svg"])]
-
-
-def build_sections(results: Results) -> dict[str, Section]:
-    """Return the sections of the page by name."""
-    with reading(results.folder):
-        return {name: build_section(results, name) for name in SECTIONS}
 
 
 def build_section(results: Results, name: str) -> Section:

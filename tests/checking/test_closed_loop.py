@@ -83,7 +83,7 @@ def test_a_law_of_all_states_is_the_map_that_is_written_down(loops):
     # p + dt v + dt^2/2 u, v + dt u with u = 2 (r - p) - 2.5 v, and dt = 0.1.
     loop = loops()
     z = torch.tensor([[0.4, -0.2], [0.0, 1.0]], dtype=torch.float64)
-    moved = loop.step(z, loop.uncertain(z), torch.tensor([[1.0], [0.5]]))
+    moved = loop.step(z, loop.steady_covariance(z), torch.tensor([[1.0], [0.5]]))
     u = 2 * (torch.tensor([1.0, 0.5]) - z[:, 0]) - 2.5 * z[:, 1]
     np.testing.assert_allclose(moved.u[:, 0], u, atol=1e-12)
     expected = torch.stack([z[:, 0] + 0.1 * z[:, 1] + 0.005 * u, z[:, 1] + 0.1 * u], -1)
@@ -93,9 +93,9 @@ def test_a_law_of_all_states_is_the_map_that_is_written_down(loops):
 def test_what_is_added_reaches_the_plant_and_noise_the_controller(loops):
     loop = loops()
     z, r = torch.zeros(1, 2, dtype=torch.float64), torch.zeros(1, 1)
-    pushed = loop.step(z, loop.uncertain(z), r, extra=0.3)
+    pushed = loop.step(z, loop.steady_covariance(z), r, extra=0.3)
     assert pushed.u.item() == 0 and pushed.z[0, 1].item() == pytest.approx(0.03)
-    disturbed = loop.step(z, loop.uncertain(z), r, noise=torch.tensor([[0.1, 0.2]]))
+    disturbed = loop.step(z, loop.steady_covariance(z), r, noise=torch.tensor([[0.1, 0.2]]))
     assert disturbed.u.item() == pytest.approx(-2 * 0.1 - 2.5 * 0.2)
 
 
@@ -103,10 +103,10 @@ def test_rows_may_have_coefficients_of_their_own(loops):
     loop = loops()
     xi = torch.stack([loop.model.coefficients, 3 * loop.model.coefficients])
     z = torch.tensor([[0.4, 0.1]] * 2, dtype=torch.float64)
-    moved = loop.varied(xi).step(z, loop.uncertain(z), torch.zeros(2, 1))
+    moved = loop.varied(xi).step(z, loop.steady_covariance(z), torch.zeros(2, 1))
     u = -2 * 0.4 - 2.5 * 0.1
     np.testing.assert_allclose(moved.z[:, 1], [0.1 + 0.1 * u, 0.1 + 0.3 * u], atol=1e-12)
-    deep = loop.varied(xi).step(z.unsqueeze(1).expand(-1, 4, -1), loop.uncertain(z), torch.zeros(2, 4, 1))
+    deep = loop.varied(xi).step(z.unsqueeze(1).expand(-1, 4, -1), loop.steady_covariance(z), torch.zeros(2, 4, 1))
     np.testing.assert_allclose(deep.z, moved.z.unsqueeze(1).expand(-1, 4, -1), atol=1e-12)
 
 
@@ -116,7 +116,7 @@ def test_a_loop_at_rest_knows_where_it_is(networks):
     z = loop.at(x, u)
     assert z[0, loop.parts["mean"]].tolist() == [0.25, 0.0, 0.0]
     assert z[0, loop.parts["pending"]].tolist() == [0.2, 0.2]
-    moved = loop.step(z, loop.uncertain(z), torch.tensor([[0.3]]))
+    moved = loop.step(z, loop.steady_covariance(z), torch.tensor([[0.3]]))
     np.testing.assert_allclose(moved.z[0, loop.parts["x"]], x[0], atol=1e-9)
     np.testing.assert_allclose(moved.z[0, loop.parts["mean"]], [0.25, 0, 0], atol=1e-7)
 

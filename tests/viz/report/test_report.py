@@ -17,7 +17,6 @@ from dynasindy.viz.report import (
     TextTable,
     Verdict,
     build_section,
-    build_sections,
     render_markdown,
 )
 from dynasindy.viz.response import tracking
@@ -31,7 +30,7 @@ OF_FOUR = 3  # of four cases, xi and tras in two experiments, one is there
 def saved() -> dict[str, Section]:
     files = RESULTS.glob("runs/*/config.yaml")
     settings = {one.parent.name: OmegaConf.to_container(OmegaConf.load(one)) for one in files}
-    return build_sections(Results(RESULTS, settings))
+    return {name: build_section(Results(RESULTS, settings), name) for name in SECTIONS}
 
 
 def numbers(words: str) -> list[float]:
