@@ -19,14 +19,7 @@ import yaml
 from torch import Tensor
 
 from benchmarks.common import RESULTS, EquationSystem, commit
-from benchmarks.pysindy_regression import (
-    Score,
-    best_threshold,
-    score,
-    smoothed_rows,
-    stlsq,
-    weak_rows,
-)
+from benchmarks.pysindy_regression import Score, best_threshold, score, smoothed_rows, stlsq, weak_rows
 from dynasindy.envs.rollout_data import disturb, record_plant
 from dynasindy.excitation import Aprbs, Chirp, Excitation
 from dynasindy.safe_io import Row, read_rows, write_rows

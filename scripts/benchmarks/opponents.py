@@ -166,9 +166,8 @@ class Arx:
     @classmethod
     def ways(cls, logs: Sequence[Log], cubic: bool = False) -> list[Fit]:
         """Return the fits to choose from."""
-        direct = (
-            (False, True) if logs[0].whole is None else (False,)
-        )  # the mean of an interval is not known at its start
+        # The mean of an interval is not known at its start.
+        direct = (False, True) if logs[0].whole is None else (False,)
         cubes, ridges = ((1, 3), (0.0,)) if cubic else ((0,), (0.0, 1e-6))
         grid = product(range(1, MOST + 1), range(LATEST + 1), direct, ridges, cubes)
         return [

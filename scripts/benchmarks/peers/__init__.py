@@ -168,12 +168,8 @@ class Peer:
 def peer(python: Path, script: str, asked: dict[str, Any]) -> Iterator[Peer]:
     """Start a peer's script, and end it."""
     found = Peer(python, script, asked)
-    try:
+    with found.process:  # closes its input, and waits
         yield found
-    finally:
-        assert found.process.stdin is not None
-        found.process.stdin.close()
-        found.process.wait()
 
 
 def plan_ours(seed: int) -> Components:
