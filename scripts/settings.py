@@ -44,40 +44,34 @@ SOME = Field(min_length=1)
 Seconds = Annotated[float, Field(gt=0, le=1e5)]
 LARGEST = 1e19
 """Squares of larger numbers, and of numbers smaller than its inverse, are no float32."""
-PLANT: dict[str, Any] = {
-    **dict.fromkeys(("plant", "plant.signals"), dict[str, Any]),
-    **{"plant.outputs": list[str], "plant.rates": list[str | None], "plant.low": list[float]},
-    **{"plant.high": list[float], "plant.start": dict[str, float | list[float]] | None},
-    "plant.bounds": dict[str, float | list[float]],
-    **dict.fromkeys(("plant.known", "plant.functions"), dict[str, str] | None),
-    **{"plant.initial": dict[str, dict[str, float]] | None, "plant.noise": dict[str, float] | None},
-    **{"plant.libraries": dict[Literal["simulated", "logged"], str], "plant.sensors": dict[str, dict[str, float]]},
-    **{"plant.first": float, **dict.fromkeys(("plant.amplitude", "plant.offset"), float | list[float])},
-    **{"plant.signals.step": list[list[float]], "plant.signals.sine": Signal, "plant.signals.square": Signal},
-}
-"""Keys of the plant, from which other groups copy; a mistake is named here rather than where it was copied to."""
 TOP: dict[str, Any] = {
     "seed": Annotated[int, range(2**63)],
     "threads": Annotated[int, range(1, 8 * (os.cpu_count() or 1) + 1), "eight for each core"],
     **{"system": System | None, "world_model": Callable[..., WorldModel], "data": DataSource},
-    **dict.fromkeys(("evaluation", "checkpoint", "scenario", "guard", "level"), dict[str, Any]),
+    **dict.fromkeys(("evaluation", "checkpoint", "scenario", "guard", "level", "plant"), dict[str, Any]),
     **dict.fromkeys(("run", "resume", "controller"), str | None),
     **dict.fromkeys(("folder", "results", "output", "device", "refinement", "error_shape"), str),
     **dict.fromkeys(("integral", "animate", "finish", "tensorboard"), bool),
     **dict.fromkeys(("evaluation.must_improve", "evaluation.must_control"), bool),
-    **{"plugins": list[str], "scenarios": Annotated[list[str], SOME]},
+    **{"plugins": list[str], "scenarios": Annotated[list[str], SOME], "plant.outputs": list[str]},
     "formats": list[Literal["png", "svg", "pdf", "eps", "jpg", "jpeg", "tif", "tiff", "webp"]],
-    "source": Literal["simulated", "logged"],
+    **{"source": Literal["simulated", "logged"], "plant.libraries": dict[Literal["simulated", "logged"], str]},
     "longest_delay": Annotated[float, Field(ge=0)] | None,
     **{"evaluation.every": Annotated[int, Field(ge=1)], "checkpoint.every": Annotated[int, Field(ge=0)]},
     **{"evaluation.within": Annotated[float, Field(gt=0)], "dt": Seconds, "seconds": Seconds | None, "flights": int},
     **{"targets": Annotated[list[list[float]], SOME] | None, "planner": dict[str, Any] | None},
-    **{"low": list[float] | None, "high": list[float] | None, "reach": float, "fmi": Literal[2, 3]},
+    **dict.fromkeys(("low", "high", "plant.low", "plant.high"), list[float] | None),
+    **{"plant.functions": dict[str, str] | None, "plant.noise": dict[str, float] | None},
+    **{"plant.sensors": dict[str, dict[str, float]], "plant.signals.step": list[list[float]]},
+    **{"plant.signals.sine": Signal, "plant.signals.square": Signal, "reach": float, "fmi": Literal[2, 3]},
     # Their number grows with the power of the outputs, and flights with the square of the grid.
     **{"points": Annotated[int, range(1, 51)], "grid": Annotated[int, range(2, 101)]},
     **{"draws": Annotated[int, range(10_001)]},
 }
-"""Keys of any command's config, besides those of what it builds, and those whose types import TorchRL."""
+"""Keys of any command's config, besides those of what it builds, and those whose types import TorchRL.
+
+Other keys of the plant are checked where they are copied to, and a mistake is named as the plant's by `command`.
+"""
 EXPORTING: dict[str, Any] = {"formats": list[Literal["c", "onnx", "fmu", "model"]]}
 """What keys of export allow beside those of other commands."""
 
@@ -99,7 +93,7 @@ def check(cfg: DictConfig, file: str = "") -> None:
             tree.pop("excitation", None)  # nothing is excited where there is a log
         if not file:  # what a run read is all that its file holds
             _require_plant_settings(tree, repr(raw))
-        for key, value, hint in chain(_values(tree, PLANT), _arguments(tree), _values(tree, _hints(tree, bool(file)))):
+        for key, value, hint in chain(_arguments(tree), _values(tree, _hints(tree, bool(file)))):
             fit = _fit(value, hint, key)
             if repr(fit) != repr(value):  # 10 equals 10.0
                 OmegaConf.update(cfg, key, fit, merge=False)
@@ -119,7 +113,7 @@ def _require_plant_settings(tree: Any, text: str) -> None:
     keys = (f"{group}.{name}" for group, node in nodes(tree) for name in node if not re.search(r"\[|^(plant|$)", group))
     others = sorted(keys, key=lambda key: key.count("."))
     conf = " ".join(file.read_text() for file in CONF.rglob("*.yaml"))
-    read = {*PLANT, "plant.functions", "plant.libraries", *re.findall(r"\bplant(?:\.\w+)+", conf + text)}
+    read = {"plant.functions", "plant.libraries", *re.findall(r"\bplant(?:\.\w+)+", conf + text)}
     for group, node in nodes({"plant": tree.get("plant")}):
         allowed = {key.removeprefix(f"{group}.").partition(".")[0] for key in read if key.startswith(f"{group}.")}
         for name in node if group in ("plant", "plant.signals") else ():
