@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache, wraps
 from importlib import import_module
+from itertools import takewhile
 from pathlib import Path
 from tempfile import TemporaryFile
 from types import FrameType
@@ -223,6 +224,5 @@ def _settings(file: Path) -> str:
 
 def heading(file: Path) -> str:
     """Return the sentences at the top of a file."""
-    lines = file.read_text().splitlines()
-    end = next((n for n, line in enumerate(lines) if not line.startswith("#")), len(lines))
-    return " ".join(line.strip("# ") for line in lines[:end] if not line.startswith("# @package"))
+    lines = takewhile(lambda line: line.startswith("#"), file.read_text().splitlines())
+    return " ".join(line.strip("# ") for line in lines if not line.startswith("# @package"))

@@ -115,25 +115,18 @@ def end_sweep(config: DictConfig, began: float) -> None:
     print(f"Sweep: {folder}")
     if any(folder.rglob("metrics.json")) and config.hydra.job.get("config_name") == "train":
         say(f"next:\n  {program('table')} {folder}  # the table of its jobs")
-    try:
-        if "level" in config:
-            _write_tables(folder, config)
-    finally:
-        if reasons := sorted(str(file) for file in folder.rglob("*error.txt") if file.stat().st_mtime >= began):
-            raise ValueError(f"{len(reasons)} jobs failed; the reasons are in {', '.join(reasons)}")
+    if "level" in config:
+        from dynasindy.evaluation.ablation import gather
+        from dynasindy.viz.learning import draw_ablation
 
-
-def _write_tables(folder: Path, config: DictConfig) -> None:
-    """Write the tables and figures of an ablation, and print the table."""
-    from dynasindy.evaluation.ablation import gather
-    from dynasindy.viz.learning import draw_ablation
-
-    results, level = Path(config.results), instantiate(config.level)
-    if gather(folder, results, level).empty:
-        print(f"No run in {folder} has finished, so there are no tables and figures.")
-    else:
-        draw_ablation(results, level)
-        say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
+        results, level = Path(config.results), instantiate(config.level)
+        if gather(folder, results, level).empty:
+            print(f"No run in {folder} has finished, so there are no tables and figures.")
+        else:
+            draw_ablation(results, level)
+            say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
+    if reasons := sorted(str(file) for file in folder.rglob("*error.txt") if file.stat().st_mtime >= began):
+        raise ValueError(f"{len(reasons)} jobs failed; the reasons are in {', '.join(reasons)}")
 
 
 def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = True) -> None:

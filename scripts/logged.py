@@ -47,7 +47,7 @@ def prepare(cfg: DictConfig) -> tuple[dict[str, Any], Source | None, dict[str, A
     if not logged and cfg.system is not None:
         raise ValueError("model=PATH plans without a plant, and system names one; leave system out")
     targets = given_targets(cfg)
-    if None in targets.values():
+    if lacking := [name for name, value in targets.items() if value is None]:
         like: dict[str, list[str]] = {"outputs": ["angle"], "low": ["-0.5"], "high": ["0.5"]}
         if logged and targets["outputs"] is not None:  # where most of its samples lie
             source = load_data(cfg)
@@ -55,24 +55,20 @@ def prepare(cfg: DictConfig) -> tuple[dict[str, Any], Source | None, dict[str, A
                 source.signature.state_index(str(name))  # which says what there is instead of an unknown one
             like = targets_like(source, (), targets) or like
         words = " ".join(command_word(f"plant.{name}", values) for name, values in like.items())
-        lacks = next(name for name, value in targets.items() if value is None)
-        raise ValueError(
-            f"plant.{lacks} is not given; say what is to be tracked, and within which targets, such as {words}"
-        )
+        what = "say what is to be tracked, and within which targets, such as"
+        raise ValueError(f"plant.{lacking[0]} is not given; {what} {words}")
     build = instantiate(cfg.planning, _convert_="all")
     if not isinstance(build, partial) or build.func is not GradientPlanning:
         raise ValueError("without a plant a policy is planned through the model's gradient; leave planning=gradient")
     planning = {name: value for name, value in build.keywords.items() if name != "every"}
     source = load_data(cfg) if logged else None
-    given = None if cfg.model is None else SindyModel.load(str(cfg.model))
-    parts = {
-        name: instantiate(cfg.get(name), _convert_="all") for name in ("task", "sensors", "world_model", "scenario")
-    }
+    names = ("task", "sensors", "world_model", "scenario")
+    parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
+    given = source is None or cfg.model is not None  # it has its own library
+    model = SindyModel.load(str(cfg.model)) if given else parts["world_model"](signature=source.signature)
+    parts["task"](signature=model.signature)
     if source is None:
         return planning, None, parts, []
-    parts["task"](signature=given.signature if given else source.signature)
-    if given is None:  # one that is given has its own library
-        parts["world_model"](signature=source.signature)
     ends = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
     others = [i for i, name in enumerate(source.signature.state_names) if name not in ends]
     require_radians(source, ends)
@@ -89,12 +85,7 @@ def plan_from_log(cfg: DictConfig) -> bool:
     if swept and (before := _finished(folder, settings, read)) is not None:
         say(f"finished before: {folder}")
         return before
-    dt, why = None, []
-    if cfg.env.dt != PERIOD or any(word.lstrip("+").startswith("env.dt=") for word in words):
-        dt = closest_period(source, cfg.env.dt)
-        if source is not None and dt != cfg.env.dt:
-            why = [note("control.sampled", seconds=dt, wanted=cfg.env.dt, step=source.training.dt)]
-    say(f"Run folder: {folder}", *lines([*findings, *why]))
+    say(f"Run folder: {folder}", *lines(findings))
     model = model_of(source, parts["world_model"], cfg.model)
     if "rates" not in cfg.plant:  # nor where they are to be given
         OmegaConf.update(cfg, "plant.rates", damped(cfg.plant.outputs, rates_of(model)), force_add=True)
@@ -104,10 +95,13 @@ def plan_from_log(cfg: DictConfig) -> bool:
     write_text(folder / "config.yaml", settings)  # before the plan, which may fail
     write_json(folder / "origin.json", {**command_and_commit(HydraConfig.get()), "read": read})
     model.save(folder / "model.json")
-    if dt is None:
+    if cfg.env.dt == PERIOD and not any(word.lstrip("+").startswith("env.dt=") for word in words):
         dt, why = suited_period(model, task, source)
-        say(*lines([why] if why else []))
-    say(*lines(filter(None, [refit_shortage(model, source)])))
+    elif (dt := closest_period(source, cfg.env.dt)) == cfg.env.dt or source is None:
+        why = None
+    else:
+        why = note("control.sampled", seconds=dt, wanted=cfg.env.dt, step=source.training.dt)
+    say(*lines(filter(None, [why, refit_shortage(model, source)])))
     try:
         controller = plan(model, task, source, parts["sensors"], dt, cfg.seed, **planning)
         save(controller, folder / NAME)  # before the forecast, which may fail
@@ -122,10 +116,8 @@ def plan_from_log(cfg: DictConfig) -> bool:
         line = f"stopped; the equations are kept, plan on them without a new fit: {again}"
         raise Stopped(line, getattr(stop, "signal", 2)) from stop
     write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})
-    if prediction.evaluation:
-        draw_evaluation(
-            prediction.evaluation, figures, controller_name("gradient"), tuple(cfg.formats), prediction.place
-        )
+    if flown := prediction.evaluation:
+        draw_evaluation(flown, figures, controller_name("gradient"), tuple(cfg.formats), prediction.place)
     say(log_report(model, prediction), f"Controller: {folder / NAME}", *model.signature.own_inputs())
     if not swept:
         steps = next_steps(*run_steps(folder, "check", "export"))

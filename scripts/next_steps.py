@@ -47,7 +47,7 @@ def improvements(
 
     A plan from a log has no real `episodes`; `imagined` is the error at the end of imagined ones [target ranges].
     """
-    from dynasindy.evaluation.tracking_criteria import WITHIN  # which takes seconds that --help does not have
+    from dynasindy.evaluation.tracking_criteria import WITHIN  # with TorchRL, which `identify` does without
 
     lines = []
     if checked:

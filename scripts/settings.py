@@ -93,7 +93,7 @@ def check(cfg: DictConfig, file: str = "") -> None:
             tree.pop("excitation", None)  # nothing is excited where there is a log
         if not file:  # what a run read is all that its file holds
             _require_plant_settings(tree, repr(raw))
-        for key, value, hint in chain(_arguments(tree), _values(tree, _hints(tree, bool(file)))):
+        for key, value, hint in chain(_arguments(tree), _settings(tree, bool(file))):
             fit = _fit(value, hint, key)
             if repr(fit) != repr(value):  # 10 equals 10.0
                 OmegaConf.update(cfg, key, fit, merge=False)
@@ -121,8 +121,11 @@ def _require_plant_settings(tree: Any, text: str) -> None:
                 raise ValueError(unknown_name(str(name), allowed, group, others))
 
 
-def _hints(tree: Mapping[str, Any], finished: bool) -> dict[str, Any]:
-    """Return what the keys of a config allow that are no arguments; TorchRL is imported for those that need it."""
+def _settings(tree: Mapping[str, Any], finished: bool) -> Iterator[tuple[str, Any, Any]]:
+    """Yield the keys that are no arguments, each with its value and what it allows.
+
+    TorchRL is imported for those that need it.
+    """
     hints = TOP | (EXPORTING if "fmi" in tree else {}) | ({"folder": str | None} if "run" in tree else {})
     if "train" in tree or finished:  # elsewhere a plant has words for the task of an experiment, which is not built
         from dynasindy.dyna.experiment import Recipe
@@ -131,11 +134,6 @@ def _hints(tree: Mapping[str, Any], finished: bool) -> dict[str, Any]:
         for name in sorted(parts.keys() - tree.keys() - {"sensors"}) if finished else ():
             raise ValueError(f"'{name}' is not given; restore it, or train again")
         hints = parts | hints
-    return hints
-
-
-def _values(tree: Any, hints: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Yield the keys that are given, each with its value and what it allows."""
     groups = dict(nodes(tree))
     for key, hint in hints.items():
         group, _, name = key.rpartition(".")

@@ -4,6 +4,7 @@ import hashlib
 import re
 from argparse import Namespace
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -61,21 +62,18 @@ def as_text(word: str) -> str:
     key, _, value = word.partition("=")
     if not value or _parses(word):
         return word
+    made = word if value[0] in "[{('\"" else f"{key}={_quoted(value)}"
     if value[0] == "[" and value[-1] == "]":
         items = [item.strip() for item in re.split(r",(?![^\[({]*[\])}])", value[1:-1])]
         made = f"{key}=[{','.join(item if _parses(f'{key}={item}') else _quoted(item) for item in items)}]"
-    else:
-        made = word if value[0] in "[{('\"" else f"{key}={_quoted(value)}"
     return made if _parses(made) else word
 
 
 def _parses(word: str) -> bool:
     """Tell whether Hydra can read a word."""
-    try:
-        OverridesParser.create().parse_override(word)
-    except HydraException:
-        return False
-    return True
+    with suppress(HydraException):
+        return bool(OverridesParser.create().parse_override(word))
+    return False
 
 
 def _quoted(text: object) -> str:
@@ -88,20 +86,20 @@ def require_keys(config_name: str, settings: list[str]) -> list[str]:
     """Refuse a key that the config of a command does not have, and let one of a plant be added to it."""
     if not settings:
         return []
-    found = dict(zip(settings, OverridesParser.create().parse_overrides(settings)))
-    for word, override in found.items():
-        if override.is_range_sweep() and not any(True for _ in override.sweep_string_iterator()):
+    folders, chosen, keys = [CONF, Path(config_dir() or CONF)], [], {}
+    for word, override in zip(settings, OverridesParser.create().parse_overrides(settings)):
+        key, glob = override.key_or_group, "=glob(" in word
+        many = (override.is_choice_sweep() and not glob) or override.is_range_sweep()
+        first = next(override.sweep_string_iterator(), None) if many else word.partition("=")[2].strip("'\"")
+        if first is None:
             raise ValueError(f"the sweep has no job, as {word} is empty; give values, such as 'seed=range(0,5)'")
-    folders = [CONF, Path(config_dir() or CONF)]
-    groups = [w for w, o in found.items() if any((folder / o.key_or_group).is_dir() for folder in folders)]
-    groups += [word for word in settings if word.startswith("hydra/")]
-    keys = {w: o.key_or_group for w, o in found.items() if w not in groups and not o.key_or_group.startswith("hydra.")}
-    chosen = [word for word in settings if word.startswith("hydra.searchpath=")]
-    for word, override in ((word, found[word]) for word in groups if "=glob(" not in word):
-        many = override.is_choice_sweep()  # options, of which the first stands for all
-        option = next(override.sweep_string_iterator(), "") if many else word.partition("=")[2].strip("'\"")
-        text = not option.startswith("[") and word[0] != "~"  # so that null is refused as an option that there is not
-        chosen.append(f"{override.get_key_element()}='{option}'" if text else word)
+        if key == "hydra.searchpath":
+            chosen.append(word)
+        elif not (key.startswith("hydra/") or any((folder / key).is_dir() for folder in folders)):
+            keys |= {} if key.startswith("hydra.") else {word: key}
+        elif not glob:  # of several options the first stands for all, and null is one that there is not
+            text = not first.startswith("[") and word[0] != "~"
+            chosen.append(f"{override.get_key_element()}='{first}'" if text else word)
     whole: Any = OmegaConf.to_container(compose(config_name, chosen))
     names = [f"{group}.{name}".lstrip(".") for group, node in nodes(whole) for name in node]
     added = []
