@@ -335,13 +335,15 @@ def _half(values: Tensor) -> Tensor:
 
 def _variants(model: SindyModel, draws: int, seed: int) -> tuple[Tensor, str]:
     """Draw coefficients from the covariance of the fit, else within a share `DRAWN` of each, and say by how much."""
-    generator, xi = torch.Generator().manual_seed(seed), model.coefficients
-    if model.covariance is None:
+    generator, xi, known = torch.Generator().manual_seed(seed), model.coefficients, model.covariance
+    if known is None:
         uniform = 2 * torch.rand((draws, *xi.shape), generator=generator, dtype=xi.dtype) - 1
         return xi * (1 + DRAWN * uniform * model.constraints.free), WITHIN
-    shares = 100 * model.covariance.shares(xi)
+    shares, drawn = 100 * known.shares(xi), xi.repeat(draws, 1, 1)
     how = f"from the covariance of the fit, with standard errors of {shares.min():.2g} to {shares.max():.2g} %"
-    return model.covariance.draw(xi, draws, generator), how
+    normal = torch.randn(draws, known.factor.shape[1], generator=generator, dtype=torch.float64)
+    drawn[:, known.features, known.states] += normal @ known.factor.mT
+    return drawn, how
 
 
 def _spread(

@@ -43,22 +43,6 @@ class Covariance(NamedTuple):
         """Return the standard errors as shares of coefficients `(n_features, n_x)`, `(P,)`."""
         return self.errors / xi[self.features, self.states].abs()
 
-    def draw(self, xi: Tensor, count: int, generator: torch.Generator) -> Tensor:
-        """Draw coefficients around those of the fit, all at a time, from a normal distribution.
-
-        Args:
-            xi: coefficients, `(n_features, n_x)`.
-            count: number of draws.
-            generator: where random numbers come from.
-
-        Returns:
-            Coefficients, `(count, n_features, n_x)`.
-        """
-        normal = torch.randn(count, self.factor.shape[1], generator=generator, dtype=torch.float64)
-        drawn = xi.expand(count, *xi.shape).clone()
-        drawn[:, self.features, self.states] += normal @ self.factor.mT
-        return drawn
-
 
 def of_rates(coefficients: Tensor, free: Tensor, theta: Tensor, dx: Tensor) -> Covariance | None:
     """Return the covariance of a regression of rates of change.

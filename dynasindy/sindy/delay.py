@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 
 import torch
 from torch import Tensor
@@ -13,9 +11,6 @@ from torch import Tensor
 from dynasindy.sindy.regression import fit_supported
 from dynasindy.systems.steps import between
 from dynasindy.systems.transitions import Transitions
-
-CLOSE = 5e-3
-"""Samples to which a delay is found by regressions."""
 
 
 def delay_inputs(data: Transitions, delay: float) -> Transitions:
@@ -55,36 +50,6 @@ def rows_after_delay(data: Transitions, longest: float) -> Tensor:
 def delay_and_trim(data: Transitions, delay: float) -> Transitions:
     """Return a recording whose inputs act `delay` seconds later, without the rows whose inputs are not known then."""
     return delay_inputs(data, delay).select(rows_after_delay(data, delay))
-
-
-def refine_delay(
-    rough: float, dt: float, longest: float, worth: float, cost: Callable[[float], float], whole: bool = False
-) -> float:
-    """Return the delay that explains a recording best, in fractions of a sample [s]; 0 if none is hardly worse.
-
-    Args:
-        rough: delay to begin with [s].
-        dt: length of a sample [s].
-        longest: longest delay [s].
-        worth: what a delay must lower the cost by.
-        cost: N/2 times the logarithm of the squared errors that a fit under inputs delayed by so much [s] leaves over.
-        whole: whether it is a whole number of samples, as that of a difference equation.
-    """
-    known = cache(cost)
-
-    def _at(delay: float) -> float:
-        return known(delay) if 0 <= delay <= longest * (1 + 1e-9) else math.inf
-
-    best = rough
-    while (better := min((best - dt, best, best + dt), key=_at)) != best:
-        best = better
-    if not whole:
-        from scipy.optimize import minimize_scalar  # a third of a second of imports
-
-        ends = max(0.0, best - dt), min(longest, best + dt)
-        within = minimize_scalar(_at, bounds=ends, method="bounded", options={"xatol": CLOSE * dt})
-        best = min(best, float(within.x), key=_at)
-    return 0.0 if best and _at(0.0) - _at(best) < worth else best
 
 
 def unexplained(support: Tensor, theta: Tensor, dx: Tensor) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Annotated, Any, Literal
 
 import pydantic
@@ -17,7 +17,7 @@ from dynasindy.findings import Finding, note, weak
 from dynasindy.limits import Count, Positive
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.covariance import of_rates
-from dynasindy.sindy.delay import refine_delay, unexplained
+from dynasindy.sindy.delay import unexplained
 from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.library import Constraints, Library
 from dynasindy.sindy.reconstruction import RegressionData, has_gaps
@@ -36,6 +36,8 @@ SOON = 0.05
 """The same [s], of samples that are so close that two control periods are less."""
 FARTHER = 2
 """Delays of a first estimate within which a delay is looked for."""
+CLOSE = 5e-3
+"""Samples to which a delay is found by regressions."""
 ALIKE = 0.01
 """Samples by which a delay may differ from a whole number and be taken for it."""
 PLAIN = -0.3
@@ -238,7 +240,7 @@ class _Fit:
         """Return the delay in fractions of a sample that regressions of samples without noise tell [s]."""
         data, whole = self._brief.measured, found[0].step is not None
         worth = math.log(max(len(data), 2))
-        fine = refine_delay(rough, data.dt, self.recording.longest, worth, self._delay_cost(found), whole)
+        fine = _refined_delay(rough, data.dt, self.recording.longest, worth, self._delay_cost(found), whole)
         return rough if abs(fine - rough) < ALIKE * data.dt else fine
 
     def _descent(self, window: int, **more: Any) -> Descent:
@@ -312,6 +314,27 @@ class _Fit:
             coefficients = regression.solve(factor, free, offset)
             library, coefficients = fit_shapes(library, coefficients, free, seen.rows, settings.tolerance)
         return library, coefficients
+
+
+def _refined_delay(
+    rough: float, dt: float, longest: float, worth: float, cost: Callable[[float], float], whole: bool = False
+) -> float:
+    """Return the delay of least cost [s], in fractions of a sample or `whole` ones; 0 if that is worse by < `worth`."""
+    known = cache(cost)
+
+    def _at(delay: float) -> float:
+        return known(delay) if 0 <= delay <= longest * (1 + 1e-9) else math.inf
+
+    best = rough
+    while (better := min((best - dt, best, best + dt), key=_at)) != best:
+        best = better
+    if not whole:
+        from scipy.optimize import minimize_scalar  # a third of a second of imports
+
+        ends = max(0.0, best - dt), min(longest, best + dt)
+        within = minimize_scalar(_at, bounds=ends, method="bounded", options={"xatol": CLOSE * dt})
+        best = min(best, float(within.x), key=_at)
+    return 0.0 if best and _at(0.0) - _at(best) < worth else best
 
 
 def _exact(free: Tensor, theta: Tensor, dx: Tensor) -> bool:

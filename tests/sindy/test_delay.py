@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.sindy.delay import delay_inputs, refine_delay
+from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.library import Library, variable
+from dynasindy.sindy.refinement import _refined_delay
 from dynasindy.sindy.regression import integral_form
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -75,22 +76,22 @@ def test_the_delay_of_a_difference_equation_is_the_whole_step_nearest_to_the_low
         asked.append(delay / DT)
         return 1e5 * (delay - true) ** 2
 
-    assert refine_delay(0.04, DT, 0.1, 1.0, cost, whole=True) == pytest.approx(found, abs=1e-12)
+    assert _refined_delay(0.04, DT, 0.1, 1.0, cost, whole=True) == pytest.approx(found, abs=1e-12)
     assert asked == pytest.approx([round(steps) for steps in asked], abs=1e-9)
 
 
 def test_a_delay_is_at_the_vertex_of_a_parabola_however_flat_it_is():
-    assert refine_delay(0.02, DT, 0.1, 0.0, lambda delay: 1.5 * (delay - 0.0372) ** 2) == pytest.approx(0.0372)
+    assert _refined_delay(0.02, DT, 0.1, 0.0, lambda delay: 1.5 * (delay - 0.0372) ** 2) == pytest.approx(0.0372)
 
 
 def test_a_delay_that_is_worth_little_is_none_and_none_is_longer_than_allowed():
     def cost(delay: float) -> float:
         return 1e4 * (delay - 0.03) ** 2
 
-    assert refine_delay(0.02, DT, 0.1, 8.9, cost) == pytest.approx(0.03)
-    assert refine_delay(0.02, DT, 0.1, 9.1, cost) == 0.0
-    assert refine_delay(0.0, DT, 0.1, 1.0, lambda delay: 100 * delay) == 0.0
-    assert refine_delay(0.04, DT, 0.1, 1.0, lambda delay: -100 * delay) == pytest.approx(0.1)
+    assert _refined_delay(0.02, DT, 0.1, 8.9, cost) == pytest.approx(0.03)
+    assert _refined_delay(0.02, DT, 0.1, 9.1, cost) == 0.0
+    assert _refined_delay(0.0, DT, 0.1, 1.0, lambda delay: 100 * delay) == 0.0
+    assert _refined_delay(0.04, DT, 0.1, 1.0, lambda delay: -100 * delay) == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("delay", [0.0, 2.4 * DT])
