@@ -160,10 +160,7 @@ def refit_shortage(model: SindyModel, log: Source | None) -> Finding | None:
 
 
 def _refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> list[SindyModel]:
-    """Fit the functions that a model uses to equal stretches of data, each refined from its coefficients on.
-
-    There is no fit where a stretch has fewer samples than functions.
-    """
+    """Refine the functions that a model uses on equal stretches of data, if these have a sample for each function."""
     late, places = delay_inputs(data, model.delay), torch.arange(len(data))
     length, found, rows = len(data) // stretches, [], (model.coefficients != 0).any(-1)
     library, coefficients = model.library.subset(rows.nonzero().flatten().tolist()), model.coefficients[rows]
@@ -260,10 +257,7 @@ def closed_loop(
 
 
 def _doubts(model: SindyModel, log: Source, seconds: float) -> list[Finding]:
-    """Return why a model promises nothing over the time that a plan looks ahead, though refits may agree with it.
-
-    That no model predicts a plant for long that runs away by itself is no doubt.
-    """
+    """Return why a model promises nothing as far as a plan looks ahead, but that a plant runs away by itself."""
     quiet = low_signal_states(log.training, rate_states(model.library, model.constraints))
     found = forecast_errors(model, log.training, log.validation)
     forecasts = found and found.without(quiet)
@@ -308,10 +302,7 @@ def damped(outputs: Sequence[str], known: Mapping[str, str]) -> list[str]:
 
 
 def _sensors_of(log: Source, model: SindyModel) -> Sensors | None:
-    """Return the sensors that a log shows: what was measured, in which steps, how noisily.
-
-    For exact states it is None, as no observer is needed, unless the model's inputs act late, which one makes up for.
-    """
+    """Return the sensors that a log shows; None of exact states, unless late inputs ask for an observer."""
     data, names = log.training, log.signature.state_names
     channels, exact, columns = {}, True, samples_of(data)
     told = map(resolution, columns) if model.step is None else resolutions(data, model).tolist()

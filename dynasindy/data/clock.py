@@ -64,11 +64,8 @@ def is_counter(column: Array) -> bool:
 
 
 def _possible_ticks(column: Array, unit: float) -> Iterator[tuple[float, Array, int, float]]:
-    """Yield the ticks [s] of which all stamps may be multiples, the likelier first; none of stamps with all digits.
-
-    Beside them stand the stamps [ticks], of how many units of the last digit a tick is, 0 where of no whole number,
-    and what rounding adds [ticks].
-    """
+    """Yield the ticks [s] of which all stamps may be multiples, the likelier first; none of stamps with all digits."""
+    # Beside them stand the stamps [ticks], of how many last digits a tick is, 0 of no whole number, and the rounding.
     largest = np.abs(column).max()
     noise, single = 4 * float(np.spacing(largest)), column.astype(np.float32)
     places = (k for k in range(10) if np.abs(column - (column * 10**k).round() / 10**k).max() <= noise)
@@ -93,10 +90,8 @@ def _possible_ticks(column: Array, unit: float) -> Iterator[tuple[float, Array, 
 
 
 def _numbered(at: Array, period: float, within: float) -> tuple[Array, int]:
-    """Return the number of each row on an even clock whose stamps stay within a strip, and how often it was set anew.
-
-    All are in ticks. A row that comes later than its number says is behind rows that were lost.
-    """
+    """Return numbers of rows on an even clock, stamps in a strip [ticks], and how often it was set anew."""
+    # A row that comes later than its number says is behind rows that were lost.
     low = high = 0.0
     number, anew, numbers = -1, 0, list[int]()
     for stamp in at.tolist():
@@ -111,11 +106,9 @@ def _numbered(at: Array, period: float, within: float) -> tuple[Array, int]:
 
 
 def _possible_periods(at: Array, low: float, starts: NDArray[np.int64], within: float) -> list[float]:
-    """Return the shortest and the longest period [ticks] of an even clock that gives such stamps; empty if none does.
-
-    It lies between `low` and one more; from each start on stamps stay in a strip of their own about even times. Two
-    that leave it bound the period: each of the two is moved there until none does.
-    """
+    """Return the shortest and the longest period [ticks] of an even clock that gives such stamps; empty of none."""
+    # From each start on stamps stay in a strip of their own about even times. Two that leave it bound the period,
+    # which is moved there until none does.
     found = list[float]()
     for period, way in ((low, 1), (low + 1.0, -1)):
         while True:
@@ -134,12 +127,9 @@ def _possible_periods(at: Array, low: float, starts: NDArray[np.int64], within: 
 
 
 def _fit_even_clock(path: str, column: Array, unit: float, dt: float | None) -> tuple[Array, float, float] | None:
-    """Return times of an even clock, its period and its tick [s] if it can have given such stamps, else None.
-
-    An even clock of period dt that is rounded to ticks writes steps of two neighbouring numbers of ticks, in the rhythm
-    that keeps t_k - k dt within one tick. Any two stamps of it bound dt: it is within a tick of their difference, over
-    the rows between them. Times that have no such rhythm, of a clock that is late now and then, stay as they are.
-    """
+    """Return times of an even clock, its period and its tick [s] if it can have given such stamps, else None."""
+    # Rounded to ticks, it writes steps of two neighbouring numbers of ticks, and t_k - k dt stays within one tick: any
+    # two stamps bound dt. Times without that rhythm, of a clock that is late now and then, stay as they are.
     for tick, at, digits, slack in _possible_ticks(column, unit):
         steps, rows = np.diff(at).round(), len(at)
         sizes, counts = np.unique(steps, return_counts=True)

@@ -114,11 +114,8 @@ def _standing(column: Array) -> float:
 
 
 def _is_followed(column: Array, others: Iterable[Array]) -> bool:
-    """Tell whether a column moves in steps that another one follows, as a reference does that a plant is taken to.
-
-    After a step the other one is where the reference was before, and at the end of it where it was led; a slow sensor
-    of the same is there from the beginning.
-    """
+    """Tell whether a column moves in steps that another one follows, as a reference does that a plant is taken to."""
+    # Unlike a plant, a slow sensor of the same is there from the beginning of a step.
     steps = np.flatnonzero(np.diff(column)) + 1
     if _standing(column) <= HELD or len(steps) < 4:
         return False
@@ -135,10 +132,7 @@ def _alike(name: str, names: Iterable[str]) -> list[str]:
 
 
 def _stepping(columns: Mapping[str, Array]) -> list[str]:
-    """Return the columns that are inputs by how they move: in steps, where all others move in most rows.
-
-    There is none where one may be a label, several are no array of the same, or what would be a state stands, too.
-    """
+    """Return columns that move in steps where all others move in most rows, as inputs; none if one may be a label."""
     standing = {name: _standing(column) for name, column in columns.items()}
     labels = {name for name, share in standing.items() if share > 1 - RARE and not (columns[name] % 1).any()}
     found = [name for name, share in standing.items() if share > HELD and name not in labels]
@@ -286,10 +280,7 @@ def _acts_at_once(column: Array, inputs: Sequence[Array]) -> bool:
 
 
 def _derived(columns: Mapping[str, Array], basis: Sequence[Array]) -> list[str]:
-    """Return the columns that are sums of multiples of those before them and of a basis, but for their last digits.
-
-    Some 2000 rows tell it, where there are 20 and more for each column.
-    """
+    """Return columns that are sums of multiples of others before them, and of a basis, but for their last digits."""
     every = slice(None, None, 1 + max(map(len, columns.values()), default=0) // 2000)
     known, found = [column[every] for column in basis], list[str]()
     for name, column in columns.items():
@@ -385,11 +376,7 @@ def keeps_time(column: Array, t: Array) -> bool:
 
 
 def _guess_columns(table: Table, time: str | None, inputs: Sequence[str], dt: float | None) -> dict[str, Any]:
-    """Return a first guess at what is time, what an input and what a state, as facts for a reader; given is none.
-
-    Time is a column of dates, or the first column that grows all along, one that counts rows only where there is no
-    other. The input is the column that is held longest, as only levels of an actuator are, or else the last one.
-    """
+    """Return a first guess at time, a column that grows, inputs, held longest, and states, as facts for a reader."""
     columns, named = table.moving(), time is not None
     growing = sorted((h for h in columns if grows(columns[h])), key=lambda heading: is_counter(columns[heading]))
     time = time or next(iter([*table.of_kind("dates"), *growing]), None)

@@ -141,11 +141,8 @@ def require_consistent_rates(
 
 
 def _compare(data: Transitions, state: int, rate: int) -> tuple[float, float]:
-    """Return the slope of a state over a rate, and their correlation.
-
-    What the state moves by over a window is compared with the trapezoidal integral of the rate, over the window in
-    which they go together best: noise counts the less the longer it is. Some 5000 windows of each length are looked at.
-    """
+    """Return the slope of a state over the integral of a rate, and their correlation, in windows that fit best."""
+    # Noise counts the less the longer a window is; some 5000 of each length are looked at.
     steps = _increments(data, rate)
     lost = torch.cat([torch.zeros(1, dtype=torch.int32), (~steps.isfinite()).cumsum(0, dtype=torch.int32)])
     sums = torch.cat([steps.new_zeros(1), steps.nan_to_num(0.0).cumsum(0)])

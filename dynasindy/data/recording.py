@@ -296,10 +296,7 @@ class LogReader:
 
 
 def _with_times(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> tuple[pd.DataFrame, NDArray[np.bool_]]:
-    """Return the rows that have a time, and which of them have all inputs; what others and states lack is counted.
-
-    A clock is understood by the times of all rows: those that are skipped are none that it left out.
-    """
+    """Return rows with a time, all of which tell a clock, and which have all inputs; what is missing is counted."""
     bad = frame.isna().to_numpy()
     needed = np.zeros(bad.shape[1], dtype=bool)
     needed[0] = needed[driving] = True
@@ -320,10 +317,7 @@ def _with_times(frame: pd.DataFrame, driving: slice, findings: list[Finding]) ->
 
 
 def _without_copies(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> pd.DataFrame:
-    """Return a table without rows that stand there twice, where the time stands still in these alone.
-
-    Of two that differ in an input, as a simulation writes them before and after an event, the second one stays.
-    """
+    """Return a table without rows that stand there twice; of two that differ in an input the second one stays."""
     values = frame.to_numpy()[:, : driving.start]
     again = ((values[1:] == values[:-1]) | np.isnan(values[1:]) & np.isnan(values[:-1])).all(1)
     kept = np.append(~again, True)
@@ -334,10 +328,7 @@ def _without_copies(frame: pd.DataFrame, driving: slice, findings: list[Finding]
 
 
 def _in_order(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> pd.DataFrame | None:
-    """Return rows in the order of their times, where these come as from one clock then: at no shorter steps than usual.
-
-    So some rows came late or twice, or the newest first. Where a clock was set back there are shorter steps.
-    """
+    """Return rows in the order of their times, unless steps are shorter then, as where a clock was set back."""
     said = list[Finding]()
     ordered = _without_copies(frame.sort_values(frame.columns[0], kind="stable"), driving, said)
     steps, late = np.diff(ordered.iloc[:, 0]), np.diff(frame.iloc[:, 0]) < 0
@@ -422,10 +413,7 @@ def unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Arr
 
 
 def _counts_of_turn(steps: Array, rows: NDArray[np.int64], width: float) -> tuple[float, ...]:
-    """Return after how many counts an encoder begins anew: a power of two, or a number of two digits, such as 3600.
-
-    It is what a jump lacks to the mean of the steps beside it. A step goes over one row, or more where some are lost.
-    """
+    """Return the counts of a turn, a power of two or of two digits, by what jumps lack to the steps beside them."""
     slopes = np.pad(steps / rows, 1, mode="edge")
     lacking = np.abs(0.5 * (slopes[:-2] + slopes[2:]) * rows - steps)[np.abs(steps) > 0.5 * width]
     turn = float(np.median(lacking)) if len(lacking) else 0.0
@@ -461,10 +449,7 @@ def _period_of_samples(part: _Part) -> float:
 
 
 def _long_gaps(x: Mapping[str, Array], segment: NDArray[np.int64], findings: list[Finding]) -> NDArray[np.bool_]:
-    """Tell which rows lie in a long stretch without a state, or where a recording has not begun or is over, `(N,)`.
-
-    A sensor that is read every fifth row has no such stretches: what is long depends on how often it is read.
-    """
+    """Tell which rows lie in a gap that is long for its state, or before or after a recording, `(N,)`."""
     out = np.zeros(len(segment), dtype=bool)
     for name, column in x.items():
         measured = np.isfinite(column)
@@ -533,10 +518,7 @@ def _stops(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:
 
 
 def _frozen(value: Array, runs: NDArray[np.int64]) -> list[float]:
-    """Return the values at which 20 samples stand that change from row to row otherwise, and jump there and away.
-
-    Equal samples stand in `runs`, where each begins and where it is over, `(R, 2)`.
-    """
+    """Return the values of 20 equal samples, `runs` from begin to end `(R, 2)`, that a state jumps to and from."""
     steps, runs = np.abs(np.diff(value)), runs[np.diff(runs)[:, 0] > 20]
     long = (np.diff(runs) - 1).sum()
     if not 0 < long <= 0.2 * len(value) or (steps == 0).sum() - long > FAULTY * len(value):
@@ -547,10 +529,8 @@ def _frozen(value: Array, runs: NDArray[np.int64]) -> list[float]:
 
 
 def _is_stop(value: Array, first: int, last: int) -> bool:
-    """Tell a stop that a moving state meets, or leaves at once, from the peak of a swing that a sensor reads in steps.
-
-    A smooth peak that lasts n samples within a step leaves it slowly: it takes a fifth of n for the next step.
-    """
+    """Tell a stop that a moving state meets, or leaves at once, from the peak of a swing that is read in steps."""
+    # A smooth peak that lasts n samples within a step leaves it slowly: it takes a fifth of n for the next step.
     steps, beside = np.abs(np.diff(value)), max(1, (last - first) // 10)
     step = steps[steps > 1e-9 * np.ptp(value)].min()  # others are of rounding
     neighbours = [k for k in (first - beside, last - 1 + beside) if 0 <= k < len(value)]
@@ -624,10 +604,7 @@ def _actuator_ranges(
 
 
 def _guess_range(low: float, high: float) -> ActuatorScaling:
-    """Return what an input reaches as far as a log shows: [-1, 1] if it stays within, else its range.
-
-    Zero stays zero even where the log has it not, unless it is farther off than the log is wide.
-    """
+    """Return what an input reaches: [-1, 1] if it stays within, else its range, with zero unless that is far off."""
     if max(-low, high) <= 1 + ROUNDED:
         return PLAIN
     if min(-low, high) >= 0.8 * max(-low, high):  # as far to either side
@@ -643,10 +620,7 @@ def _with_ends(column: Column, reach: ActuatorScaling) -> Column:
 
 
 def _with_actuator_ranges(inputs: Mapping[str, Column], plant: Signature) -> dict[str, Column]:
-    """Return columns of inputs with the ends that a plant says of its actuators.
-
-    A column whose heading has the unit `[-]` holds the numbers that a rig gets, as its logs do, and keeps them.
-    """
+    """Return columns of inputs with the ends of a plant's actuators; those in `[-]` hold what a rig gets, and stay."""
     columns = dict(inputs)
     limits = np.array(plant.input_limits or (WHOLE,) * plant.n_u).T
     ends = plant.in_own_units(np.stack([*limits, np.zeros(plant.n_u)]))  # and what is zero of each

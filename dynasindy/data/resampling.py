@@ -85,10 +85,7 @@ def _between_jumps(t: Array, x: Array, jumps: NDArray[np.bool_], grid: Array) ->
 
 
 def _measured_between(t: Array, column: Array, jumps: NDArray[np.bool_], grid: Array) -> Array:
-    """Return one state with lost samples at even times, `(n,)`, by those samples of it that there are; NaN far of all.
-
-    A sensor that is stamped between two even times has a sample within half of the time between them.
-    """
+    """Return one state with lost samples at even times, `(n,)`; NaN where no sample is within half a step."""
     measured = np.isfinite(column)
     if measured.sum() < FEWEST:
         return np.full(len(grid), np.nan)

@@ -173,10 +173,7 @@ def _with_signals_apart(raw: pd.DataFrame, findings: list[Finding]) -> tuple[pd.
 
 
 def _lost_code(column: Array, name: str) -> float | None:
-    """Return the number that stands for samples that were lost, farther off the others than these lie.
-
-    It is a usual one, or one that comes again and again for a few rows in what moves and is no input, which has pulses.
-    """
+    """Return the number that stands for lost samples: far off all others, and a usual code, or one that comes again."""
     finite = column[np.isfinite(column)]
     usual = np.median(finite[:: 1 + len(finite) // 1000]) if len(finite) else 0.0
     for end in (finite.min(), finite.max()) if len(finite) else ():
@@ -228,11 +225,7 @@ def _with_fractions(table: Table) -> Table:
 
 
 def _with_one_clock(table: Table) -> Table:
-    """Return a table whose columns of a second clock are taken to the times of the first one.
-
-    A column that is held for most of the time keeps its last value; others are on straight lines between two samples,
-    but where these are rarer than the times: they stand at the nearest ones, and other rows have none.
-    """
+    """Return a table whose columns of a second clock stand at times of the first: held, on lines, or the nearest."""
     clocks = {
         match[1] or match[2]: heading
         for heading in table.headings
@@ -324,10 +317,7 @@ def _since_1970(times: pd.Series) -> Array:
 
 
 def _other_dates(text: pd.Series) -> Array:
-    """Return the seconds of times of day, durations and dates in other forms, NaN of what is none.
-
-    Whether the day or the month is first has to be told by the dates, or to make no difference from row to row.
-    """
+    """Return the seconds of times of day, durations and other dates; NaN of none, or where a day may be a month."""
     first = str(text.dropna().iloc[0])
     if re.search(r"\d\s*(?:s|sec|ms|us|ns)$|^(?:\d+ days? )?-?\d+:\d\d(?::\d\d)?(?:\.\d+)?$", first):
         whole = text.str.replace(r"^(\d+:\d\d(?:\.\d+)?)$", r"00:\1", regex=True)

@@ -258,11 +258,8 @@ def _horizons(model: SindyModel, data: Transitions, time: float) -> list[float]:
 
 
 def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[int]) -> int:
-    """Return on how many samples before a start its states are to be estimated, so that predictions are best.
-
-    The more there are, the more of the noise is averaged. But what the model lacks, what pushes the plant and what
-    grows in an unstable one spoil an estimate the more, the longer it takes. The number is doubled while that helps.
-    """
+    """Return on how many samples before a start its states are best estimated: doubled while that helps."""
+    # More of them average the noise, but what the model lacks, pushes, and what grows spoil an estimate the more.
     lengths = [longest >> k for k in range(longest.bit_length()) if not k or longest >> k >= SHORTEST_FIT]
     starts, _ = start_rows(data, longest, steps[0])
     if len(lengths) < 2 or not len(starts):

@@ -325,11 +325,8 @@ def _errors(model: SindyModel) -> list[str]:
 
 
 def _coefficient_lines(model: SindyModel, known: Covariance) -> list[str]:
-    """Write a line for each coefficient that was fitted, such as `v'  -9.81 ± 0.03  sin(p)`.
-
-    What a coefficient stands before comes last, as in an equation, so that a long function leaves the others in line.
-    Of a difference equation it is that of the right side, whose coefficients are the step times those of the rates.
-    """
+    """Write a line for each coefficient that was fitted, such as `v'  -9.81 ± 0.03  sin(p)`, functions last."""
+    # Of a difference equation it is that of the right side, whose coefficients are the step times those of the rates.
     library, table = mapping(model.library, model.coefficients)
     place = {feature.key: k for k, feature in enumerate(library.features)}
     sides = [left_side(library, state) for state in library.signature.state_names]

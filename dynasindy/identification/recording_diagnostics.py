@@ -76,10 +76,7 @@ def resolutions(data: Transitions, model: SindyModel | None = None) -> Tensor:
 
 
 def _unforeseen(data: Transitions) -> Tensor:
-    """Return the standard deviation of what past samples leave over of the next one of each state; NaN if none tell.
-
-    Noise of a sensor is new in each sample, so that it stays in what is left over, whatever explains the rest.
-    """
+    """Return what past samples leave over of the next one of each state, as noise does, `(n_x,)`; NaN of none."""
     whole = ~(data.x.isnan().any(0) | data.x_next.isnan().any(0))
     found = torch.full((len(whole),), math.nan, dtype=torch.float64)
     each = (torch.arange(len(whole)) == i for i in (~whole).nonzero().flatten().tolist())

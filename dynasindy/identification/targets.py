@@ -94,10 +94,7 @@ def _usual(source: Source, name: str) -> tuple[float, float]:
 def _held_within(
     model: SindyModel, source: Source, ends: Mapping[str, tuple[float, float]], period: float
 ) -> tuple[list[float], list[float]] | None:
-    """Return the ends within which all targets are held by inputs that the log knows; None where none are.
-
-    The box is drawn in around what is held until nothing else is left in it.
-    """
+    """Return ends within which inputs that the log knows hold all targets, drawn in until they do; None of none."""
     signature, data = model.signature, source.training
     places = [signature.state_index(name) for name in ends]
     own = torch.tensor(signature.input_limits or ((-1.0, 1.0),) * signature.n_u, dtype=torch.float64)

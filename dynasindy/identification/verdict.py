@@ -142,10 +142,7 @@ def logged_input_ranges(model: SindyModel, logged: Tensor) -> dict[str, tuple[fl
 
 
 def _moved_alone(model: SindyModel) -> dict[str, str]:
-    """Return the states whose equations read themselves and one input alone, linearly, and settle: measured actuators.
-
-    As far as its input goes beyond the log, so does such a state, as the angle of a blade its command.
-    """
+    """Return states that one input alone moves, linearly, and that settle, with it: as actuators, they go as far."""
     found, inputs = {}, {*model.signature.input_names}
     for name, column in zip(model.signature.state_names, model.coefficients.unbind(-1), strict=True):
         features = _used(model.library.features, column)
@@ -229,10 +226,7 @@ def _variables(features: Sequence[Feature]) -> set[str]:
 
 
 def _bent(feature: Feature, read: set[str], signature: Signature) -> bool:
-    """Tell whether a function bends in an input in a way that a log alone tells.
-
-    Sine and cosine of an angle do not: they are geometry, and the same beyond the log. Those of anything else do.
-    """
+    """Tell whether a function bends in an input in a way that a log alone tells; sines of angles are geometry."""
     units = dict(zip(signature.state_names, signature.state_units, strict=True))
     mine = [factor for factor in feature.factors if read & set(factor.variables)]
 

@@ -426,10 +426,7 @@ class _Augmented(Altered):
 
 
 class _Kinematic(System):
-    """A system whose states move at the rates that are states themselves, and otherwise stay.
-
-    An observer on it is a line through the latest angles, with a fading memory.
-    """
+    """A system whose states move at the rates that are states, or stay: a line through the latest, which forgets."""
 
     machine_code = True
 

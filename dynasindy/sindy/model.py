@@ -324,10 +324,7 @@ class SindyModel(WorldModel):
             self._keep([])
 
     def _identify(self, transitions: Transitions, cut_before: bool) -> FitReport:
-        """Fit to transitions alone.
-
-        A library that was cut before is cut again, however many data there are: the whole one may take too long.
-        """
+        """Fit to transitions alone; a library that was `cut_before` is cut again: the whole one may take too long."""
         start = time.perf_counter()
         data, constraints, cut = self._checked(transitions), self.constraints, list[Finding]()
         rates, first = rate_states(self.library, constraints), None
@@ -567,12 +564,8 @@ class SindyModel(WorldModel):
 
 
 def _screened(rows: Rows, free: Tensor, offset: Tensor, complexity: Sequence[float], most: int) -> list[int]:
-    """Return places of `most` functions: the simplest, and those that explain most of what these leave over of rates.
-
-    Functions of one complexity, as all products of two, come in together while there is room for them. Of the others
-    those come in that are least orthogonal to what the first ones leave over of any rate of change (sure independence
-    screening; Fan and Lv 2008).
-    """
+    """Return places of `most` functions: the simplest, then those that explain most of what these leave over."""
+    # Sure independence screening (Fan and Lv 2008). Functions of one complexity come in together while there is room.
     theta, dx = rows[0], rows[1] - rows[0] @ offset
     rank, chosen = torch.tensor(complexity), (offset != 0).any(-1)
     for each in rank.unique().tolist():
@@ -624,11 +617,9 @@ DEGREES = {"id": 1.0, "abs": 1.0, "sqrt": 0.5, "sign": 0.0}
 
 
 def _units_of_guess(library: Library, xi: Tensor, free: Tensor, hidden: Tensor) -> tuple[Tensor, list[str]]:
-    """Return coefficients of a first guess that set the units of hidden states which nothing tells, and these states.
-
-    In another unit of a state each coefficient is multiplied by a power of one number. A unit is told by a coefficient
-    that is given, and by a function that is no power, as a sine or a bend at a level.
-    """
+    """Return coefficients of a first guess that set the units of hidden states that nothing tells, and these states."""
+    # In another unit each coefficient is multiplied by a power of one number. Units are told by coefficients that
+    # are given, and by functions that are no powers, as a sine or a bend at a level.
     names, used = library.signature.state_names, xi != 0
     degrees = torch.tensor([[_degree(f, name) for name in names] for f in library.features], dtype=torch.float64)
     degrees = torch.where(used.any(-1, keepdim=True), degrees, 0.0)
@@ -656,10 +647,8 @@ def _degree(feature: Feature, name: str) -> float:
 
 
 def _start_lag_states(library: Library, xi: Tensor, guess: Transitions, followers: Mapping[int, int]) -> Transitions:
-    """Return a recording in which states that follow begin each stretch where a first model needs them.
-
-    From another begin such a state is off by a part that decays with its own time, which rates of change tell.
-    """
+    """Return a recording in which states that follow begin each stretch where a first model needs them."""
+    # From another begin such a state is off by a part that decays with its own time, which rates of change tell.
     field, ends, inputs = generate(library, xi), [guess.x, guess.x_next], (guess.u, guess.last_inputs)
     seconds = (torch.arange(len(guess)) - guess.segment_starts()).double() * guess.dt
     _, stretch = guess.segment.unique(return_inverse=True)

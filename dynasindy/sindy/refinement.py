@@ -190,11 +190,8 @@ class _Fit:
         return farthest * data.dt, best * data.dt
 
     def _search_range(self, first: Model, read: RegressionData, least: int) -> tuple[int, int]:
-        """Return within how many samples a delay is to be looked for, where nobody says that, and the best one.
-
-        It is `least`, and no delay, where none explains the samples better by far, or the functions explain them as
-        they are. Where the longest one that was tried is the best, it is twice as far, while enough rows are left.
-        """
+        """Return within how many samples to look for a delay, where nobody says that, and the best one, or 0."""
+        # Where the longest one that was tried is the best, it is twice as far, while enough rows are left.
         free, field, dt = self.constraints.free, generate(*first), read.measured.dt
 
         def _rows(late: int, farthest: int) -> Rows:
@@ -364,10 +361,7 @@ def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bo
 
 
 def _first_gain(data: Transitions, rates: Mapping[int, int]) -> tuple[Tensor, Tensor]:
-    """Return a first guess of the gain of an observer, as of an alpha-beta filter, and where it is fitted, bool.
-
-    Each measured state corrects itself and its rate, and all of them what no sensor sees in any form.
-    """
+    """Return a first gain of an observer, of measured states on themselves and their rates, and where it is fitted."""
     seen = ~data.x_next.isnan().all(0)
     mask, gain = torch.diag(seen), torch.diag(ALPHA * seen.double())
     for i in (~seen).nonzero().flatten().tolist():

@@ -45,11 +45,8 @@ def least_missed(
 def _backward(
     triangle: Tensor, active: Tensor, removable: Tensor | None = None, dependent: float = DEPENDENT
 ) -> Iterator[tuple[Tensor, Tensor, float]]:
-    """Drop columns of R of [columns, target] one by one, the one that is missed least first, until none may be dropped.
-
-    Yields R, the places of its columns, and by how much the squared residual grows without the next. R is factored
-    anew after each drop: nearly collinear functions (alpha, sin alpha at small angles) ruin cheaper updates.
-    """
+    """Drop columns of R of [columns, target], least missed first; yield R, their places, and what the next costs."""
+    # R is factored anew after each drop: nearly collinear functions (alpha, sin alpha) ruin cheaper updates.
     while True:
         n = len(active)
         j, growth = least_missed(triangle, n, None if removable is None else removable[active], dependent)
@@ -321,10 +318,7 @@ def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limit: float) -> Tens
 def _eliminate(
     theta: Tensor, targets: Tensor, support: Tensor, count: int, tolerance: float, dependent: float = DEPENDENT
 ) -> Tensor:
-    """Drop, one at a time, the coefficient that is missed least, and keep the set of best Bayesian criterion.
-
-    A residual norm of `tolerance` is exact, so that more terms gain nothing; columns have unit norm.
-    """
+    """Return coefficients of best Bayesian criterion, of columns of unit norm; an error of `tolerance` is exact."""
     coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
     for i in support.any(0).nonzero().flatten().tolist():
 

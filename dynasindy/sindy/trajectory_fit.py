@@ -73,10 +73,7 @@ def _price(n: int, free: Tensor) -> float:
 
 
 def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, price: float) -> Estimate:
-    """Converge, drop and reconsider until there is nothing better.
-
-    What is better to first order may be worse once it has converged; then what was there before stays.
-    """
+    """Converge, drop and reconsider until nothing is better; what was there before stays if it was, once converged."""
     flow = Flow.of(estimate, Parameters.where((estimate.xi != 0) & free), windows)
     best: tuple[Flow, Linearised] | None = None
     least, fewest = math.inf, 0
@@ -116,23 +113,16 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, price:
 
 
 def _reconsider(triangle: Tensor, n_fixed: int, active: Parameters, others: Parameters, limit: float) -> Tensor | None:
-    """Look for a better set of coefficients than the one at which a refinement stands still.
-
-    First a score test: a function outside the model that would lower the error by more than it costs comes in, the
-    best one of each equation. If there is none, an exchange: a function comes in if two or more can go for it, as
-    sin(alpha) for the three functions that imitate it at small angles. They may go in other equations, too: a wrong
-    function in one equation may hold one in another that makes up for it. At last the best of the exchanges one for
-    one, within an equation.
-
-    `triangle` is R of [fixed unknowns, active, others, target]. What is returned are the places of a better set in
-    `active + others`, `(n,)`; None where there is none.
-    """
+    """Return places in `active + others` of a better set, by R of [fixed unknowns, active, others, target], or None."""
     n = n_fixed + len(active)
+    # A score test: the best function of each equation comes in that would lower the error by more than it costs.
     columns, error = triangle[n:, n:-1], triangle[n:, -1]
     growth = (columns.mT @ error).square() / columns.square().sum(0).clamp_min(1e-12)
     firsts = [int(growth.where(others.states == state, -1.0).argmax()) for state in others.states.unique()]
     if best := [first for first in firsts if float(growth[first]) > 2 * limit]:
         return torch.cat([torch.arange(len(active)), len(active) + torch.tensor(best)])
+    # An exchange: one comes in for two or more of any equation, as sin(alpha) for three that imitate it at small
+    # angles, for a wrong one may hold another that makes up for it; at last the best one for one, within an equation.
     swaps: dict[float, Tensor] = {}
     for k in range(len(others)):
         state = others.states[k]
@@ -160,10 +150,7 @@ def _left_over(model: Linearised, windows: Windows) -> float:
 
 
 def _descended(flow: Flow, price: float) -> tuple[Flow, Linearised | None]:
-    """Converge and drop until the support stands still; what turns out worth more than was foreseen comes back.
-
-    The linear model beside it is None where no coefficient is left.
-    """
+    """Converge and drop until the support stands still; drops that cost more than foreseen come back. None of none."""
     before: tuple[Flow, Linearised] | None = None
     model: Linearised | None = None
     left, allowed, enough, windows = math.inf, 0.0, ROUGH, flow.windows
