@@ -34,7 +34,7 @@ WIDTH = 100
 """Columns of the help that are not those of a file."""
 
 
-def exit_at_once(number: int, frame: FrameType | None) -> None:
+def exit_now(number: int, frame: FrameType | None) -> None:
     """End at once: nothing was begun, or everything is done."""
     os.write(2, b"stopped\n")
     os._exit(128 + number)
@@ -44,7 +44,7 @@ def stop(number: int, frame: FrameType | None) -> None:
     """Leave what is under way; a second signal leaves at once."""
     from dynasindy.dyna import Stopped
 
-    handle_signals(exit_at_once)
+    handle_signals(exit_now)
     raise Stopped("stopped", number)
 
 
@@ -55,7 +55,7 @@ def handle_signals(handler: Callable[[int, FrameType | None], None]) -> None:
             signal.signal(number, handler)
 
 
-handle_signals(exit_at_once)  # the imports of a script take seconds, in which a traceback would be all that a user sees
+handle_signals(exit_now)  # the imports of a script take seconds, in which a traceback would be all that a user sees
 
 
 @cache

@@ -17,22 +17,9 @@ from importlib.metadata import requires
 from pathlib import Path
 from typing import ClassVar
 
-from cli import (  # isort: split
-    CONF,
-    SCRIPTS,
-    end_with_parent,
-    exit_at_once,
-    handle_signals,
-    pipe_guard,
-    program,
-    require_writable,
-    stop,
-)
-
-os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hydra's printer
-
 import hydra
 import yaml
+from cli import CONF, SCRIPTS, end_with_parent, exit_now, handle_signals, pipe_guard, program, require_writable, stop
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
@@ -155,7 +142,7 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
                 gc.enable()
                 torch.set_num_threads(cfg.threads)
                 if swept:  # an earlier refusal no longer holds
-                    _refusal_file(output).unlink(missing_ok=True)
+                    output.with_name(f"{output.name}.error.txt").unlink(missing_ok=True)
                 for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):
                     require_writable(Path(folder))
                 task(cfg)
@@ -168,6 +155,7 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
     path, warned = os.environ.get("PYTHONPATH"), os.environ.get("PYTHONWARNINGS")
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(SCRIPTS), path]))
     os.environ["PYTHONWARNINGS"] = ",".join(filter(None, ["ignore:resource_tracker", warned]))
+    os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hydra's printer
     gc.disable()  # it would look for garbage among what is imported, a sixth of the time that this takes
     Sweep.here = True
     use_command_words()  # for what is refused before a job begins; workers of a sweep call it in `job`
@@ -182,14 +170,14 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
             if Sweep.config is not None:
                 end_sweep(Sweep.config, Sweep.began)
     except KeyboardInterrupt as end:
-        handle_signals(exit_at_once)
+        handle_signals(exit_now)
         line = "stopped; the same command begins anew" if str(end) in ("", "stopped") else " ".join(str(end).split())
         if Sweep.config is not None:
             kept = Sweep.config.hydra.sweep.dir
             line = f"stopped; the finished jobs are kept in {kept}, the same command goes on with the others"
         print(fit_stderr(line), file=sys.stderr)
         sys.exit(128 + getattr(end, "signal", 2))
-    handle_signals(exit_at_once)
+    handle_signals(exit_now)
     gc.freeze()  # else the interpreter looks for a second whether anything that torch made is garbage
 
 
@@ -225,7 +213,7 @@ def one_line(cfg: DictConfig | None = None) -> Iterator[None]:
             finished = (folder / "metrics.json").is_file()
             # Who gave the command has read the line; a job of a sweep always leaves its own.
             if folder.is_dir() and folder.resolve() != Path.cwd() and (swept or not finished):
-                file = _refusal_file(folder) if finished else folder / "error.txt"
+                file = folder.with_name(f"{folder.name}.error.txt") if finished else folder / "error.txt"
                 file.unlink(missing_ok=True)  # it may be a link in a run folder of others
                 write_text(file, line + "\n")
             remove_empty(Sweep.config and Sweep.config.hydra.sweep.dir)
@@ -233,11 +221,6 @@ def one_line(cfg: DictConfig | None = None) -> Iterator[None]:
             PROGRESS.close()  # so that the line is the last one
         print(fit_stderr(line), file=sys.stderr)
         sys.exit(1 if type(error).__name__ == "Diverged" else 2)
-
-
-def _refusal_file(folder: Path) -> Path:
-    """Return where the line of a job lies that was refused because its folder holds a finished run."""
-    return folder.with_name(f"{folder.name}.error.txt")
 
 
 def remove_empty(folder: str | Path | None) -> None:
@@ -253,14 +236,6 @@ def remove_empty(folder: str | Path | None) -> None:
         folder.rmdir()
         if Path.cwd() in folder.resolve().parent.parents:
             folder.parent.rmdir()
-
-
-def _changed_dtype() -> str:
-    """Return that a part of the user's made another number type torch's default; '' if it is as it was."""
-    torch = sys.modules.get("torch")
-    if not hasattr(torch, "get_default_dtype") or (kind := torch.get_default_dtype()) == torch.float32:
-        return ""
-    return f"a part of yours called torch.set_default_dtype({kind}), which all others use; leave it out of the plant"
 
 
 def of_user(error: BaseException) -> str:
@@ -293,7 +268,12 @@ def in_words(error: BaseException, settings: object = None) -> str:
     words = str(error).strip("'\"") if isinstance(error, KeyError) else error_text(error)
     text = " ".join(words.split()).partition(" Config search path:")[0]
     text = re.sub(r'^\[Errno -?\d+\] |(?<=in )"|"(?=, line )', "", text)  # in "my.yaml", line 2
-    if place := _changed_dtype() or of_user(error):
+    torch = sys.modules.get("torch")
+    if hasattr(torch, "get_default_dtype") and (kind := torch.get_default_dtype()) != torch.float32:
+        return (
+            f"a part of yours called torch.set_default_dtype({kind}), which all others use; leave it out of the plant"
+        )
+    if place := of_user(error):
         return place
     if is_memory_error(error):
         wanted = memory_wanted(error)

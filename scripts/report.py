@@ -15,15 +15,15 @@ def main(cfg: Any) -> None:
     from dynasindy.viz.report import Results, build
 
     results = Path(cfg.results)
-    configs = {file.parent.name: read_config(file) for file in sorted(results.glob("runs/*/config.yaml"))}
-    if not configs and not any(results.glob("*.csv")):
+    files = sorted(results.glob("runs/*/config.yaml"))
+    if not files and not any(results.glob("*.csv")):
         raise ValueError(
             f"{results} holds no run and no table, so there is nothing to report; give results=FOLDER, where they are, "
             "runs as FOLDER/runs/NAME"
         )
-    settings = {name: OmegaConf.to_container(config) for name, config in configs.items()}
-    files = build(Results(results, settings), Path(cfg.output))
-    print(f"{files[0]}, from {len(settings)} saved run{'s' * (len(settings) != 1)}")
+    settings = {file.parent.name: OmegaConf.to_container(read_config(file)) for file in files}
+    page, *_ = build(Results(results, settings), Path(cfg.output))
+    print(f"{page}, from {len(files)} saved run{'s' * (len(files) != 1)}")
 
 
 if __name__ == "__main__":

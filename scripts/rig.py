@@ -40,9 +40,8 @@ def main(cfg: Any) -> None:
     targets = {name: (low, high) for name, low, high in ends}
     guard = guard.or_limits(plant.get("bounds") or {}, wiring)
     guard.require(wiring)
-    known = plant.get("known")
-    if known is None and system.known:  # of an unknown plant the logs tell which rates are missing
-        known = {}
+    # Of an unknown plant the logs tell which rates are missing.
+    known = {} if system.known and plant.get("known") is None else plant.get("known")
     planning = dict(cfg.planner or {})
     knowledge = Knowledge(plant["library"], known, targets, cfg.longest_delay, planning, ranged=system.known)
     wanted = knowledge.within(cfg.targets)

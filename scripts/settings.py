@@ -16,16 +16,7 @@ from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_or
 from cli import CONF
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationResolutionError, InterpolationToMissingValueError
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    PlainValidator,
-    StrictBool,
-    TypeAdapter,
-    ValidationError,
-)
+from pydantic import BeforeValidator, ConfigDict, Field, PlainValidator, StrictBool, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 from trust import nodes
 from typing_extensions import TypedDict
@@ -212,8 +203,9 @@ def _checked(hint: Any) -> Any:
     if kind is Annotated:
         if math.inf in options:
             return Annotated[Any, PlainValidator(partial(_number, endless=True))]
-        limits: list[Any] = [AfterValidator(partial(_within, limit)) for limit in options if isinstance(limit, range)]
-        limits += [each for each in options[1:] if isinstance(each, FieldInfo)]
+        limits: list[Any] = [each for each in options[1:] if isinstance(each, FieldInfo)]
+        for limit in (each for each in options if isinstance(each, range)):
+            return Annotated[int, BeforeValidator(partial(_number, limits=limit))]
         return Annotated[(_checked(options[0]), *limits)] if limits else _checked(options[0])
     if kind in (Union, UnionType, dict, list, tuple) and options:
         inner = tuple(each if each is Ellipsis else _checked(each) for each in options)
@@ -232,7 +224,7 @@ def _checked(hint: Any) -> Any:
     return plain.get(kind, Annotated[Any, PlainValidator(partial(_require_builder, hint))])
 
 
-def _number(value: Any, endless: bool = False) -> Any:
+def _number(value: Any, endless: bool = False, limits: range | None = None) -> Any:
     """Return a number that calculations stand, also from text."""
     if isinstance(value, str):
         with suppress(ValueError):
@@ -241,11 +233,7 @@ def _number(value: Any, endless: bool = False) -> Any:
         raise ValueError("Input should be a number")
     if value != 0 and not (endless and value == math.inf) and not 1 / LARGEST <= abs(value) <= LARGEST:
         raise ValueError(f"Input should be a finite number, 0 or of size {1 / LARGEST:g} to {LARGEST:g}")
-    return value
-
-
-def _within(limits: range, value: float) -> float:
-    if not limits.start <= value < limits.stop:
+    if limits and not limits.start <= value < limits.stop:
         raise ValueError(f"Input should be a number from {limits.start} to {limits.stop - 1}")
     return value
 
