@@ -103,11 +103,7 @@ def check_rates(data: Transitions, signature: Signature, known: Mapping[str, str
 
 
 def require_consistent_rates(
-    data: Transitions,
-    signature: Signature,
-    known: Mapping[str, str],
-    columns: Mapping[str, Column],
-    file: str = "",
+    data: Transitions, signature: Signature, known: Mapping[str, str], columns: Mapping[str, Column], file: str = ""
 ) -> list[Finding]:
     """Return what `check_rates` does, but refuse rates that are known and cannot be those of their states.
 

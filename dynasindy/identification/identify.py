@@ -19,12 +19,7 @@ from dynasindy.data.rates import check_rates, require_consistent_rates
 from dynasindy.data.recording import LogReader
 from dynasindy.findings import Finding, records, weak
 from dynasindy.identification import verdict
-from dynasindy.identification.forecast_errors import (
-    LOST,
-    ForecastErrors,
-    forecast_errors,
-    with_start_states,
-)
+from dynasindy.identification.forecast_errors import LOST, ForecastErrors, forecast_errors, with_start_states
 from dynasindy.identification.log_fit import LogFit, fit_log
 from dynasindy.identification.recording_diagnostics import low_signal_findings, low_signal_states
 from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source, rates_of

@@ -85,10 +85,7 @@ _REGISTRY: dict[str, Function] = {
         Function("per_cos2", "1 / (1 + {1} * square(cos({0})))", "/(1 + {1} cos({0})^2)", parametric=True),
         Function("ahead", "{0} - {1}", "({2} - {3})"),
         Function(
-            "slack",
-            "larger({0} - {1} - {2}, 0) - larger({1} - {0} - {2}, 0)",
-            "slack({0}; {1})",
-            parametric=True,
+            "slack", "larger({0} - {1} - {2}, 0) - larger({1} - {0} - {2}, 0)", "slack({0}; {1})", parametric=True
         ),
     )
 }

@@ -45,13 +45,7 @@ from dynasindy.sindy.reconstruction import (
 )
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import DEPENDENT, SAMPLES_EACH, Regression, Rows, TriangularFactor
-from dynasindy.sindy.shooting import (
-    CHOSEN_STRETCHES,
-    COARSE,
-    RunsAway,
-    relative_step,
-    substeps_for,
-)
+from dynasindy.sindy.shooting import CHOSEN_STRETCHES, COARSE, RunsAway, relative_step, substeps_for
 from dynasindy.sindy.trajectory_fit import selection_rows
 from dynasindy.sindy.world_model import WorldModel
 from dynasindy.systems.base import PRECISIONS, Diverged, Signature

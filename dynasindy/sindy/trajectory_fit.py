@@ -317,13 +317,7 @@ def _joins(flow: Flow) -> Tensor:
     return joined
 
 
-def _grown(
-    estimate: Estimate,
-    support: Tensor,
-    data: Transitions,
-    descent: Descent,
-    turned: float,
-) -> Flow:
+def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Descent, turned: float) -> Flow:
     """Return trajectories in windows of the wanted length, or as long as there are, in which they do not run away."""
     turn = relative_step(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
     substeps, parameters = substeps_for(turn, turned), Parameters.where(support)
