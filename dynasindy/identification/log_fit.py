@@ -565,11 +565,8 @@ class _Search:
         return best
 
     def _select(self, of: Candidate) -> None:
-        """Let functions come in and go, at two prices.
-
-        Of those that suit any plant quotients of inertias are left to regressions; of many those of one factor come
-        first, and of more than the samples can tell none.
-        """
+        """Let functions come in and go, at two prices; of many those of one factor first, of too many none."""
+        # Of those that suit any plant quotients of inertias are left to regressions.
         if of.structure is None or len(of.structure.library) == len(of.model.library):
             return
         stages, rows = [of.structure], int(self.folds[0].fit_rows().sum())
@@ -659,10 +656,8 @@ class _Search:
             self._select(best)
 
     def _final(self, best: Candidate, stopped: bool = False) -> LogFit:
-        """Fit the best candidate to all training data, or to the part that it was fitted to where there is no time.
-
-        Of a long log it is fitted to stretches: what chance leaves of the coefficients is small then.
-        """
+        """Fit the best candidate to all training data, or to the part that it was fitted to where there is no time."""
+        # Of a long log it is fitted to stretches: what chance leaves of the coefficients is small then.
         model, settings, late = _warm_started(best.model), best.settings, self.expired
         if settings.method == "one_step":
             model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
