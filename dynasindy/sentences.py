@@ -154,6 +154,7 @@ LEFT_OUT = {
     "reference": "references by name",
     "label": "labels, of two values or a few that hardly change",
     "derived": "sums of multiples of other columns",
+    "shifted": "samples of other columns a row earlier or later",
     "direct": "jumping with an input, as an acceleration does and no state can",
 }
 """Why columns are left out that nobody named."""
@@ -481,6 +482,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.stop": "{count} samples with {state} at {value:g}, a stop, saturation or frozen sensor, were masked",
     "log.followed": "{columns:list} move in steps that another column follows, and are left out as references; if they "
     "are states, give {states:data.states}",
+    "log.held_states": "{states:list} stand still in most rows, in which others move, as commands do, sensors that "
+    "failed, and samples that are repeated; name commands in <data.inputs>, and write repeated samples as empty cells",
     "log.guessed_inputs": "taken as input: {inputs:list}, by steps where all others move in most rows; if that is "
     "wrong, correct {inputs:data.inputs} and {states:data.states}",
     "log.unmeasured": "{state} is seen by no sensor; it is estimated with the model",

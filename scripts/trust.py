@@ -46,8 +46,8 @@ def read_config(file: Path) -> DictConfig:
                     line = event.start_mark.line + 1
                     raise ValueError(f"line {line} is no plain key and value, as a run writes them")
             config = OmegaConf.create(text)
-        except yaml.YAMLError as error:
-            raise ValueError(str(error)) from error
+        except (yaml.YAMLError, AssertionError) as error:  # OmegaConf asserts that a text is no single number
+            raise ValueError(str(error) or "it does not hold keys and values") from error
         if not isinstance(config, DictConfig):
             raise TypeError("it does not hold keys and values")
     return config

@@ -227,6 +227,7 @@ def infer(
         "derived",
         _derived(left(), [moves[n] for n, reason in why.items() if reason in ("reference", "followed") and n in moves]),
     )
+    leave("shifted", _shifted(left()))
     driven = [name for name, column in left().items() if _acts_at_once(column, [moves[n] for n in found if n in moves])]
     leave("direct", driven if len(driven) < len(left()) else ())
     if states is None:
@@ -240,7 +241,18 @@ def infer(
         }
         led = []
     out = list[Finding]()
-    for reason in ("constant", "counter", "words", "empty", "dates", "reference", "label", "derived", "direct"):
+    for reason in (
+        "constant",
+        "counter",
+        "words",
+        "empty",
+        "dates",
+        "reference",
+        "label",
+        "derived",
+        "shifted",
+        "direct",
+    ):
         those: Any = [name for name, kind in why.items() if kind == reason]
         if reason == "constant":
             those = {name: float(np.nanmax(table.column(columns[name].name))) for name in those}
@@ -255,6 +267,9 @@ def infer(
         if numbers and lacks != "command":
             facts["guess"] = _guess_columns(table, clock if timed else None, found, dt)
         raise LogError("log.no_roles", path=path, lacks=lacks, left_out=out, **facts)
+    still = [name for name in left() if name in chosen and _is_held(moves[name])] if states is None else []
+    if still and min(_standing(moves[name]) for name in chosen if name in moves) < HELD:
+        out.append(weak("log.held_states", states=still))
     if led:
         out.append(weak("log.followed", columns=led, states=[*chosen, *led]))
     if guessed:
@@ -266,6 +281,24 @@ def _is_label(column: Array, rarely: bool = True) -> bool:
     """Tell whether a column holds a few whole numbers, which change in hardly any row, or whenever they are two."""
     levels = len(np.unique(column)) if len(column) and not (column % 1).any() else 0
     return 1 < levels <= 10 and _standing(column) > 1 - RARE if rarely else levels == 2
+
+
+def _is_held(column: Array) -> bool:
+    """Tell whether a column stands in most rows and moves by more than its last digit, which a coarse sensor does."""
+    steps = np.abs(np.diff(column))
+    return bool(steps.any()) and _standing(column) > HELD and np.median(steps[steps > 0]) > 5 * _last_digit(column)
+
+
+def _shifted(columns: Mapping[str, Array]) -> list[str]:
+    """Return the columns that hold the samples of one before them a row earlier or later, as next states do."""
+    rows = np.stack([column[:1000] for column in columns.values()]) if columns else np.zeros((0, 0))
+    found = list[str]()
+    for k, name in enumerate(columns):
+        if k and len(rows[k]) > 20 and _standing(rows[k]) < 0.1:
+            sooner, later = rows[:k, 1:] == rows[k, :-1], rows[:k, :-1] == rows[k, 1:]
+            if max(sooner.mean(1).max(), later.mean(1).max()) > 0.9:  # another episode may begin now and then
+                found.append(name)
+    return found
 
 
 def _acts_at_once(column: Array, inputs: Sequence[Array]) -> bool:
@@ -306,7 +339,8 @@ def _last_digit(column: Array) -> float:
 RARE = 0.01
 """Share of the rows in which a label changes at most."""
 REFERENCE = re.compile(
-    r"(.*[_ .])?(ref|r[e\u00e9]f[e\u00e9]ren\w*|set[_ ]?point|sp|target|soll\w*|consign\w*)([_ .\d].*)?", re.I
+    r"(.*[_ .])?(ref|desired|demand|r[e\u00e9]f[e\u00e9]ren\w*|set[_ ]?point|sp|target|soll\w*|consign\w*)([_ .\d].*)?",
+    re.I,
 )
 """What references are called, in several languages."""
 HELD = 0.5

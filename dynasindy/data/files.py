@@ -227,6 +227,8 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
         heads = (k for k, row in enumerate(rows[:5]) if _differ(row, common) and not any(map(_is_value, row)))
         first = next(heads, -1) + 1
     first = 1 if first == len(rows) else first  # no values at all
+    again = (k for k, row in enumerate(rows[: first - 1]) if row == rows[first - 1] and holds_values(rows[k + 1], True))
+    first = next(again, first - 1) + 1  # headings of a page, or of a logger that began anew, are those of the first
     decimal = "," if separator != "," and any(re.search(r"\d,\d", lines[k]) for k in filled[first:]) else "."
     pointed = [text for row in rows[first:] for text in row if "." in text and _is_value(text.replace(".", ""))]
     thousands = "." if decimal == "," and pointed and all(map(THOUSANDS.fullmatch, pointed)) else None
@@ -327,11 +329,13 @@ def _flatten(tree: Any, name: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
             yield from _flatten(value, f"{name}[{k}]")
     elif values.dtype.names:
         yield from _flatten({field: values[field] for field in values.dtype.names})
-    elif (values := values.squeeze() if values.ndim > 1 else values).ndim == 1:
-        yield name, values
-    elif values.ndim == 2:
+    elif values.dtype.kind == "c":
+        yield from _flatten({f"{name}_re": values.real, f"{name}_im": values.imag})
+    elif (values := values.squeeze() if values.ndim > 1 else values).ndim == 2:
         tall = values if len(values) >= values.shape[1] else values.T
         yield from ((f"{name}[{k}]", column) for k, column in enumerate(tall.T))
+    elif values.ndim:
+        yield name, values.ravel()  # of three dimensions too long for a column, and told as that
 
 
 def _put(columns: dict[str, Any], name: str, values: Any) -> None:
@@ -384,8 +388,19 @@ def _of_frame(frame: pd.DataFrame) -> Raw:
         pd.Series(_as_number(column.to_numpy(f"{column.dtype.kind}8[ns]"))) if column.dtype.kind in "Mm" else column
         for _, column in frame.items()
     ]
-    whole = pd.concat(columns, axis=1, keys=map(str, frame.columns))
+    parts = (_cells_apart(str(name), column) for name, column in zip(frame, columns, strict=True))
+    whole = pd.concat([part for each in parts for part in each], axis=1)
     return whole.set_axis(pd.RangeIndex(1, 1 + len(whole))), []
+
+
+def _cells_apart(name: str, column: pd.Series) -> Iterator[pd.Series]:
+    """Yield a column, or where its cells hold arrays or fields one for each place or field."""
+    cells = column.dropna() if column.dtype == object else column.iloc[:0]
+    if not isinstance(next(iter(cells), None), np.ndarray | list | dict):
+        yield column.rename(name)
+        return
+    for key, values in pd.DataFrame([*cells], cells.index).items():
+        yield from _cells_apart(f"{name}_{key}", values)
 
 
 def _read_excel(path: Path) -> Raw:

@@ -396,7 +396,9 @@ def unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Arr
     width, steps = float(np.ptp(values)), np.diff(values)
     turns = {"rad": (2 * np.pi,), "deg": (360.0,), "turn": (1.0,), "-": (2 * np.pi, 360.0)}.get(unit, ())
     whole = bool((values == values.round()).all()) and unit in ("-", "counts", "count", "ticks")
-    counts = _counts_of_turn(steps, np.diff(np.flatnonzero(measured)), width) if whole else ()
+    far = steps[np.abs(steps) > 0.5 * width]
+    both = unit == "-" and len(far) and far.min() < 0 < far.max()  # what is emptied at once jumps one way
+    counts = _counts_of_turn(steps, np.diff(np.flatnonzero(measured)), width) if whole or both else ()
     inside = np.abs(values - values.min() - 0.5 * width) < 0.25 * width
     for turn in (*turns, *counts) if inside.mean() > 0.05 else ():  # two levels are no angle
         jumps = np.abs(steps) > 0.5 * turn
@@ -417,7 +419,7 @@ def _counts_of_turn(steps: Array, rows: NDArray[np.int64], width: float) -> tupl
     slopes = np.pad(steps / rows, 1, mode="edge")
     lacking = np.abs(0.5 * (slopes[:-2] + slopes[2:]) * rows - steps)[np.abs(steps) > 0.5 * width]
     turn = float(np.median(lacking)) if len(lacking) else 0.0
-    usual = (2.0 ** round(math.log2(turn)), float(f"{turn:.2g}")) if turn >= 2 else ()
+    usual = (2.0 ** round(math.log2(turn)), float(f"{turn:.2g}")) if turn > 0 else ()
     return tuple(known for known in usual if abs(known - turn) < 0.01 * turn)[:1]
 
 

@@ -15,21 +15,23 @@ from numpy.typing import NDArray
 
 from dynasindy.data.files import MEASURED, PLAIN, read_file
 from dynasindy.data.headings import COMMAND, INPUT, UNITS, is_clock, named_by, plain_heading, plain_headings, split_unit
-from dynasindy.findings import Finding, LogError, note
+from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.sentences import setting
 from dynasindy.text import did_you_mean
 
 Array = NDArray[np.float64]
 DAY_FIRST = re.compile(r"\d{1,2}\.\d{1,2}\.\d{4}\b.*")
 """A date as it is written with points, the day first: with slashes nobody could tell the day from the month."""
-THOUSANDS = r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?"
-"""A number whose commas part thousands, where all commas of a column do."""
+THOUSANDS = r"[+-]?[1-9]\d{0,2}(?:,\d{2,3})*,\d{3}(?:\.\d*)?"
+"""A number whose commas part thousands, where all commas of a column do; Indian ones part hundreds of them, too."""
 DAY = 86400.0
 CODES = frozenset((999.0, 999.9, 9999.0, 9999.9, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0, 2.0**31, 2.0**31 - 1))
 HUGE = 1e30
 """What programs write where a sample was lost, of either sign."""
 SWITCHED = {"on": 1.0, "off": 0.0, "yes": 1.0, "no": 0.0, "open": 1.0, "closed": 0.0, "true": 1.0, "false": 0.0}
 """Words for 1 and 0, in small letters."""
+MANY = 0.1
+"""Share of the cells from which on words in them are more than samples that were lost."""
 COUNTED = 5
 """Rows from which on a column that grows by one in each is a counter; fewer may do so by chance."""
 FRACTION = re.compile(r"(?:.*[\W_])?(n|u|m|nano|micro|milli)(?:s|secs?|seconds?)", re.IGNORECASE)
@@ -312,7 +314,9 @@ def _seconds(text: pd.Series) -> Array:
 
 
 def _since_1970(times: pd.Series) -> Array:
-    since = times if times.dtype.kind == "m" else times - pd.Timestamp(0, tz="UTC")
+    since = (
+        times if times.dtype.kind == "m" else times - pd.Timestamp(0, tz="UTC").as_unit("s")
+    )  # also of years that ns do not reach
     return np.asarray((since / pd.Timedelta(seconds=1)).to_numpy(dtype=np.float64, na_value=np.nan))
 
 
@@ -370,7 +374,10 @@ def select_columns(path: Path, names: Sequence[str], dt: float | None = None) ->
         if heading in words:
             raise LogError("log.worded_column", file=str(path), column=heading, text=words[heading].text)
         raise LogError("log.column_without_numbers", file=str(path), column=heading)
-    said = [note("log.words", line=w.line, column=h, text=w.text, count=w.count) for h, w in words.items()]
+    said = [
+        (weak if w.count > MANY * len(frame) else note)("log.words", line=w.line, column=h, text=w.text, count=w.count)
+        for h, w in words.items()
+    ]
     return replace(whole.edit(frame, {}, *said), words=words, dated=whole.dated & {first})
 
 

@@ -9,10 +9,11 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 import torch
+from pydantic import create_model
 
 from dynasindy import workbench
 from dynasindy.control import Controller, save
@@ -53,7 +54,7 @@ class Knowledge:
         ranged: Whether the ranges of the states are known; if not, they are those of the logs.
 
     Raises:
-        ValueError: A setting of the planning does not exist.
+        ValueError: A setting of the planning does not exist, or is out of its range.
     """
 
     library: str | Sequence[str] | LibraryBuilder
@@ -69,6 +70,9 @@ class Knowledge:
         if wrong := [name for name in self.planning if name not in allowed]:
             near = did_you_mean(wrong[0], allowed)
             raise ValueError(f"'{wrong[0]}' is no setting of the planning; allowed are {', '.join(allowed)}{near}")
+        hints = get_type_hints(GradientPlanning.__init__, include_extras=True)
+        fields: dict[str, Any] = {name: (hints[name], ...) for name in self.planning}
+        create_model("planner", **fields)(**self.planning)  # refuses what is out of range
 
     def require_of(self, signature: Signature) -> None:
         """Refuse, before anything moves, what no model or no task of a plant can be made of.

@@ -1,6 +1,7 @@
 """Logs as other programs and other countries write them hold the numbers of the plant, or say what they lack."""
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -192,6 +193,44 @@ def test_columns_that_follow_from_others_and_labels_are_no_states(tmp_path):
     assert left_out(found) == expected and found.signature.state_units[0] == "rad"
     chosen = recording(tmp_path / "l.csv", text, states=["angle_rad", "error"], inputs=["u"])
     assert chosen.signature.state_names == ("angle_rad", "error")
+
+
+def test_samples_of_the_next_row_are_no_states_and_a_state_that_is_held_is_told(tmp_path):
+    following = [np.append(column[1:], 5.0) for column in (ANGLE, RATE)]  # an episode ends with the log
+    text = table(["time", "angle", "rate", "u", "next_angle", "next_rate"], T, ANGLE, RATE, COMMAND, *following)
+    found = recording(tmp_path / "l.csv", text)
+    require_truth(found)
+    assert "next_angle" in left_out(found)["shifted"]
+    level = np.random.default_rng(3).uniform(-1, 1, ROWS)
+    for coarse, told in ((level[np.arange(ROWS) // 12 * 12], [["level"]]), (np.round(2 * np.sin(0.3 * T), 1), [])):
+        found = recording(tmp_path / "l.csv", table(["time", "angle", "level", "u"], T, ANGLE, coarse, COMMAND))
+        assert [each.values["states"] for each in found.findings if each.code == "log.held_states"] == told
+
+
+def test_headings_that_come_again_are_those_of_the_first_page(tmp_path):
+    head, *rows = table(["time", "angle", "rate", "u"], T, ANGLE, RATE, COMMAND).splitlines()
+    pages = [line for k in range(0, ROWS, 50) for line in (f"page {k // 50}", head, *rows[k : k + 50])]
+    require_truth(recording(tmp_path / "l.csv", "\n".join(pages)))
+
+
+def test_words_in_many_cells_of_a_column_are_a_warning(tmp_path):
+    for every, severity in ((20, "note"), (5, "weak")):
+        cells = ["low" if k % every == 3 else f"{x:.6f}" for k, x in enumerate(ANGLE)]
+        found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, cells, RATE, COMMAND))
+        assert [each.severity for each in found.findings if each.code == "log.words"] == [severity]
+
+
+def test_commas_part_hundreds_of_thousands_as_well(tmp_path):
+    cells = [re.sub(r"(?<=\d)(?=(?:\d\d)*\d{3}\.)", ",", f"{1e6 * x:.2f}") for x in ANGLE]  # 12,34,567.00
+    text = table(["time", "way", "rate", "u"], T, [f'"{cell}"' for cell in cells], RATE, COMMAND)
+    assert recording(tmp_path / "l.csv", text).transitions.x[:, 0].numpy() == pytest.approx(1e6 * ANGLE[:-1], abs=0.01)
+
+
+def test_a_date_of_any_year_is_one(tmp_path):
+    for year in (1, 2024, 9998):
+        stamps = [f"{year:04d}-05-31 12:00:{x:09.6f}" for x in T]
+        found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND))
+        assert found.transitions.dt == pytest.approx(0.01, rel=1e-3) and len(found.transitions) == ROWS - 1
 
 
 def test_states_that_are_nearly_multiples_of_each_other_stay(tmp_path):
@@ -395,6 +434,12 @@ def _fields_of_hdf5(path):
 def test_containers_tell_times_units_and_which_sheet_holds_the_log(tmp_path, name, write):
     write(tmp_path / name)
     require_truth(LoggedData(str(tmp_path / name)).recording(None))
+
+
+def test_arrays_and_fields_in_cells_are_columns(tmp_path):
+    nested = [{"angle": a, "rates": [b]} for a, b in zip(ANGLE, RATE, strict=True)]
+    pd.DataFrame({"time": T, "arm": nested, "u": COMMAND}).to_parquet(tmp_path / "l.parquet")
+    require_truth(LoggedData(str(tmp_path / "l.parquet")).recording(None), states=("arm_angle", "arm_rates_0"))
 
 
 @pytest.mark.parametrize("reference", [0.3 + 0 * np.arange(400.0), np.repeat([0.2, -0.4, 0.5, 0.0], 100)])

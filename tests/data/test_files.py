@@ -126,6 +126,13 @@ def test_arrays_of_other_lengths_are_left_out_and_said(tmp_path):
     assert found.findings[1] == note("log.other_lengths", length=300, names=["trigger (7)"])
 
 
+def test_what_is_complex_is_two_columns_and_an_array_of_three_dimensions_is_told(tmp_path):
+    np.savez(tmp_path / "log.npz", time=T, z=ANGLE + 2j * ANGLE**2, u=COMMAND, camera=np.zeros((ROWS, 3, 3)))
+    found = LoggedData(str(tmp_path / "log.npz")).recording(None)
+    assert found.signature.state_names == ("z_re", "z_im") and found.transitions.x[5, 1] == 2 * ANGLE[5] ** 2
+    assert note("log.other_lengths", length=300, names=["camera (2700)"]) in found.findings
+
+
 def test_a_damaged_file_and_a_format_without_its_package_cost_one_line(tmp_path, monkeypatch):
     for ending in ("mat", "npz", "parquet", "h5", "xlsx"):
         (tmp_path / f"log.{ending}").write_bytes(b"neither \x00 nor")

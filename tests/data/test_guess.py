@@ -163,7 +163,9 @@ def test_the_only_column_with_a_unit_of_time_is_the_clock_whatever_it_is_called(
     assert found.transitions.dt == pytest.approx(0.01) and found.signature.state_names == ("y",)
 
 
-@pytest.mark.parametrize("name", ["referencia", "sollwert", "consigna", "y_ref", "SetPoint", "target_1", "SP"])
+@pytest.mark.parametrize(
+    "name", ["referencia", "sollwert", "consigna", "y_ref", "SetPoint", "target_1", "SP", "desired_y"]
+)
 def test_a_reference_is_left_out_by_its_name_unless_it_is_named(tmp_path, name):
     loop, path = closed_loop(), tmp_path / "log.csv"
     rows = np.stack(list(loop.values()), -1).tolist()

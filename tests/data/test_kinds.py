@@ -112,6 +112,13 @@ def test_an_angle_that_wraps_goes_on(unit, turn, start):
     assert np.ptp(found[seen] - whole[seen]) < 1e-9 * turn
 
 
+@pytest.mark.parametrize("turn", [1000.0, 400.0, 1.0])
+def test_a_place_that_jumps_by_its_range_to_either_side_goes_on_whatever_its_unit(turn):
+    whole = turn * ANGLE / 3
+    assert np.allclose(unwrap_angle("q", whole % turn, "-", told := []), whole)
+    assert [each.values["turn"] for each in told] == [turn]
+
+
 LEVEL = np.interp(T, [0, 1.5, 1.8, 3.3, 3.6, 4], [0, 355, 2, 355, 1, 90])  # of a tank that is emptied
 
 

@@ -128,6 +128,8 @@ def test_targets_lie_in_the_box_of_the_plant():
         ({"library": ["1", "thta", "Omega"]}, "thta"),
         ({"known": {"thta": "Omega"}}, "thta"),
         ({"targets": {"thta": (-0.6, 0.6)}}, "thta"),
+        ({"planning": {"updates": -1}}, "updates"),
+        ({"planning": {"window": "long"}}, "window"),
     ],
 )
 def test_what_no_model_can_be_made_of_is_refused_before_anything_moves(change, message):
