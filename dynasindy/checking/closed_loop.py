@@ -217,13 +217,8 @@ class ClosedLoop:
             z[..., start : start + self.signature.n_x] = x
         return z
 
-    def started(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Return vector and covariance at states in which the controller is switched on, after inputs of zero."""
-        z = self.at(x, torch.zeros(*x.shape[:-1], self.signature.n_u, dtype=torch.float64))
-        return z, torch.zeros(*x.shape[:-1], *self.law.shapes[2], dtype=torch.float64)
-
     def fly(self, x: Tensor, r: Tensor, seconds: float, phase: str = "steps to the targets") -> LoopSimulation:
-        """Switch the controller on at states `(rows, n_x)` and let it hold references `(rows, n_r)`.
+        """Switch the controller on at states `(rows, n_x)`, after inputs of zero; it holds references `(rows, n_r)`.
 
         Args:
             x: States.
@@ -231,7 +226,8 @@ class ClosedLoop:
             seconds: Length of each flight [s].
             phase: What is under way, in words.
         """
-        return self.run(*self.started(x.double()), r.double(), seconds, phase)[0]
+        z = self.at(x.double(), torch.zeros(len(x), self.signature.n_u, dtype=torch.float64))
+        return self.run(z, torch.zeros(len(x), *self.law.shapes[2], dtype=torch.float64), r.double(), seconds, phase)[0]
 
     def run(
         self, z: Tensor, covariance: Tensor, r: Tensor, seconds: float, phase: str

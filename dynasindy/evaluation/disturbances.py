@@ -85,34 +85,31 @@ class SensorNoise:
     Args:
         policy: The policy.
         env: Environment whose task makes the observation.
-        std: Standard deviation of white noise on each state, or by name of a state, 0 where not named [unit of the
-            state]; None takes those of `sensors`.
+        std: Standard deviation of white noise by name of a state, 0 where not named [unit of the state]; None takes
+            those of `sensors`.
         seed: Of the noise.
         sensors: Resolution and noise of the plant's sensors, by name of a state, each a `Channel` or its keys. The
             noise of a state of which they do not tell is `SHARE` of its range.
 
     Raises:
-        ValueError: There is not one standard deviation >= 0 per state, or a named state does not exist.
+        ValueError: A standard deviation is negative, or a named state does not exist.
     """
 
     def __init__(
         self,
         policy: Policy,
         env: ControlEnv,
-        std: Sequence[float] | Mapping[str, float] | None = None,
+        std: Mapping[str, float] | None = None,
         seed: int = 0,
         sensors: Mapping[str, Channel | Mapping[str, float]] | None = None,
     ) -> None:
         signature = env.system.signature
-        if isinstance(std, Mapping):
-            _require_names(signature, std, "std")
-            std = [std.get(name, 0.0) for name in signature.state_names]
-        elif std is None:
-            std = _of_sensors(signature, sensors or {})
-        if len(std) != signature.n_x or not all(value >= 0 for value in std):
-            raise ValueError(f"std must hold one number >= 0 for each of the {signature.n_x} states, got {list(std)}")
+        _require_names(signature, std or {}, "std")
+        if not all(value >= 0 for value in (std or {}).values()):
+            raise ValueError(f"the scenario's std is {dict(std or {})}; give numbers of 0 or more")
         self.policy, self.env = policy, env
-        self.std = torch.tensor(list(std))
+        own = _of_sensors(signature, sensors or {}) if std is None else [std.get(n, 0.0) for n in signature.state_names]
+        self.std = torch.tensor(own)
         self.generator = torch.Generator().manual_seed(seed)
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:

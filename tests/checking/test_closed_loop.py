@@ -36,7 +36,8 @@ def flown(loop, x, r, periods):
 
 
 def stepped(loop, x, r, periods):
-    z, covariance = loop.started(x.unsqueeze(0))
+    z = loop.at(x.unsqueeze(0), torch.zeros(1, loop.signature.n_u, dtype=torch.float64))
+    covariance = torch.zeros(1, *loop.law.shapes[2], dtype=torch.float64)
     states, inputs = [x], []
     for _ in range(periods):
         z, covariance, u = loop.step(z, covariance, torch.tensor([r], dtype=torch.float64))

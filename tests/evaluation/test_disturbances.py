@@ -48,14 +48,15 @@ def test_noise_reaches_the_policy_and_not_the_plant() -> None:
     std = [0.01, 0.02, 0.0, 0.0, 50.0, 0.0]
     start = env.start_from(torch.zeros(2000, 6))
     true = start.clone()
-    out = SensorNoise(policy, env, std, seed=3)(start)
+    named = dict(zip(env.system.signature.state_names, std, strict=True))
+    out = SensorNoise(policy, env, named, seed=3)(start)
     torch.testing.assert_close(out["state"], true["state"])
     torch.testing.assert_close(out["observation"], true["observation"])
     torch.testing.assert_close(seen[0]["state"].std(0), torch.tensor(std), rtol=0.05, atol=0)
     # The observation is made of the noisy state: scaled states first, then errors over 0.5 rad.
     torch.testing.assert_close(seen[0]["observation"][:, 4], seen[0]["state"][:, 4] / 4000)
     torch.testing.assert_close(seen[0]["observation"][:, 6], (0.3 - seen[0]["state"][:, 0]) / 0.5)
-    again = SensorNoise(policy, env, std, seed=3)
+    again = SensorNoise(policy, env, named, seed=3)
     again(true)
     torch.testing.assert_close(seen[0]["state"], seen[1]["state"], rtol=0, atol=0)
 
@@ -78,7 +79,7 @@ def test_noisy_observations_are_of_the_present_time() -> None:
 
     start = env.start_from(torch.zeros(3, 6))
     start["step_count"] = torch.tensor([[0], [7], [30]])
-    out = SensorNoise(policy, env, [0.01] * 6)(start)
+    out = SensorNoise(policy, env, dict.fromkeys(system.signature.state_names, 0.01))(start)
     params, t = start["task_params"], torch.tensor([[0.0], [0.35], [1.5]])
     torch.testing.assert_close(seen[0]["observation"], env.task.observation(seen[0]["state"], params, t))
     assert not torch.equal(seen[0]["state"], start["state"]) and bool((out["action"] == 0.4).all())
@@ -89,8 +90,8 @@ def test_what_is_not_named_stays_as_it_is() -> None:
     torch.testing.assert_close(PerturbedPlant(Xi(), {})(X, U), Xi()(X, U))
     both = PerturbedPlant(Xi(), {"Omega_a": 0.5, "omega_p": -3.0})(X, U) - Xi()(X, U)
     torch.testing.assert_close(both[2], torch.tensor([0, 0, 0.5, 0, 0, -3.0], dtype=torch.float64))
-    with pytest.raises(ValueError, match="one number >= 0"):
-        SensorNoise(lambda td: td, make(), [0.1, 0.1, 0.1, 0.1, 0.1, -0.1])
+    with pytest.raises(ValueError, match="0 or more"):
+        SensorNoise(lambda td: td, make(), {"omega_p": -0.1})
 
 
 def test_each_says_how_large_it_is() -> None:
@@ -103,7 +104,7 @@ def test_each_says_how_large_it_is() -> None:
         PerturbedPlant(Xi(), gain={"Omega_a": 0.9}, input_gain=[1.0, 0.8]).summary()
         == "detuned: Omega_a' times 0.9, u_p times 0.8"
     )
-    noise = SensorNoise(lambda td: td, env, [0.002, 0.0, 0.0, 0.0, 40.0, 0.0])
+    noise = SensorNoise(lambda td: td, env, {"alpha_a": 0.002, "omega_a": 40.0})
     assert noise.summary() == "measured with white noise, standard deviation alpha_a 0.002 rad, omega_a 40 rpm"
     assert [DelayedActuator(lambda td: td, env, k).summary() for k in (1, 2)] == [
         "inputs late by 1 control period, 0.05 s",

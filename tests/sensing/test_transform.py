@@ -330,7 +330,7 @@ def test_an_evaluation_flies_by_estimates_and_is_judged_by_the_truth(changes):
 
 def test_perfect_sensors_fly_as_none_and_the_wrappers_of_a_scenario_see_estimates():
     env, sensing, _ = behind(PERFECT)
-    scenario = Scenario("s", Step([[0.3, 0.2]]), 1, 1.0, wrappers=[partial(SensorNoise, std=[0.0] * 6)])
+    scenario = Scenario("s", Step([[0.3, 0.2]]), 1, 1.0, wrappers=[partial(SensorNoise, std={})])
     seen, exact = (evaluate(env, policy(), scenario, each) for each in (sensing, None))
     torch.testing.assert_close(seen.outputs, exact.outputs, rtol=0, atol=1e-6)
 
@@ -339,12 +339,13 @@ def test_noise_of_a_scenario_is_of_the_measurement_and_the_observer_filters_it()
     env, sensing, _ = behind()
     sensing.observer.q.fill_(1e-2)  # it relies on its model, which is the plant
     std, saw, believed = [0.02, 0.0, 0.3, 0.3, 150.0, 0.0], [], sensing.observer.variance.clone()
+    named = dict(zip(env.system.signature.state_names, std, strict=True))
 
     def keeping(tensordict):
         saw.append(tensordict["state"].clone())
         return policy()(tensordict)
 
-    scenario = Scenario("s", Step([[0.3, 0.2]]), 16, 3.0, wrappers=[partial(SensorNoise, std=std)])
+    scenario = Scenario("s", Step([[0.3, 0.2]]), 16, 3.0, wrappers=[partial(SensorNoise, std=named)])
     flown = evaluate(env, keeping, scenario, sensing).trajectory
     error = (flown["measurement"] - flown["true_state"]).flatten(0, 1)
     # Independent errors add in squares: what the bench has, and what the scenario adds; rates are not measured.
@@ -355,7 +356,7 @@ def test_noise_of_a_scenario_is_of_the_measurement_and_the_observer_filters_it()
     seen = torch.stack([x for x in saw if len(x) == 16][-60:], 1)
     assert torch.equal(seen, flown["estimate"]) and torch.equal(sensing.observer.variance, believed)
     assert 0 < float((seen - flown["true_state"])[:, 20:, 4].std()) < 0.8 * wanted[4]
-    quiet = Scenario("s", Step([[0.3, 0.2]]), 16, 3.0, wrappers=[partial(SensorNoise, std=[0.0] * 6)])
+    quiet = Scenario("s", Step([[0.3, 0.2]]), 16, 3.0, wrappers=[partial(SensorNoise, std={})])
     without = Scenario("s", Step([[0.3, 0.2]]), 16, 3.0)
     flights = [evaluate(env, policy(), each, sensing).trajectory["true_state"] for each in (quiet, without)]
     assert torch.equal(*flights)
