@@ -91,48 +91,13 @@ static void enter(long rows, int n, const float *from, int first, int width, flo
                 to[(p * width + first + i) * P + j] = p * P + j < rows ? from[(p * P + j) * n + i] : 0;
 }
 
-/* LANES times LANES numbers, rows into columns: where row i and row i + LANES / 2 are dealt like cards, log2 LANES times
-   over, each number ends where rows and columns are exchanged. */
-INLINE void turn_tile(const float *from, float *to)
+/* Panels of units by rows into panels of rows by units. */
+static void turn(long panels, int n, const float *restrict from, float *restrict to)
 {
-#if defined(__clang__)
-    for (int i = 0; i < LANES; i++)
-        for (int j = 0; j < LANES; j++)
-            to[j * P + i] = from[i * P + j];
-#else
-    typedef int places __attribute__((vector_size(4 * LANES)));
-    vec rows[LANES], dealt[LANES];
-    places low, high;
-#pragma GCC unroll 16
-    for (int i = 0; i < LANES; i++) {
-        low[i] = i / 2 + i % 2 * LANES;
-        high[i] = low[i] + LANES / 2;
-        rows[i] = *(const vec *)(from + i * P);
-    }
-#pragma GCC unroll 4
-    for (int round = 1; round < LANES; round *= 2) {
-#pragma GCC unroll 8
-        for (int i = 0; i < LANES / 2; i++) {
-            dealt[2 * i] = __builtin_shuffle(rows[i], rows[i + LANES / 2], low);
-            dealt[2 * i + 1] = __builtin_shuffle(rows[i], rows[i + LANES / 2], high);
-        }
-#pragma GCC unroll 16
-        for (int i = 0; i < LANES; i++)
-            rows[i] = dealt[i];
-    }
-#pragma GCC unroll 16
-    for (int i = 0; i < LANES; i++)
-        *(vec *)(to + i * P) = rows[i];
-#endif
-}
-
-/* Panels of units by rows into panels of rows by units, for whatever comes last up to a multiple of LANES. */
-static void turn(long panels, int n, const float *from, float *to)
-{
-    for (int first = 0; first < n; first += LANES)
+    for (int i = 0; i < n; i++)
         for (long p = 0; p < panels; p++)
-            for (int j = 0; j < P; j += LANES)
-                turn_tile(from + (p * n + first) * P + j, to + ((first / P * panels + p) * P + j) * P + first % P);
+            for (int j = 0; j < P; j++)
+                to[((i / P * panels + p) * P + j) * P + i % P] = from[(p * n + i) * P + j];
 }
 
 /* The layers of network `net`, from its inputs in layers[0] on. */

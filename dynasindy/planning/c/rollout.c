@@ -20,10 +20,10 @@ typedef struct {
     const float *rest, *factor, *limits;              /* how strong inputs are, about what, and their ends; or NULL */
 } Rollout;
 
-/* Numbers that the layers of a period take; `turn` reads up to a multiple of LANES units. */
+/* Numbers that the layers of a period take. */
 long layers_size(const Network *policy, long rows)
 {
-    long numbers = LANES * P;
+    long numbers = 0;
     for (int l = 0; l <= policy->depth; l++)
         numbers += (panels_of(rows) * policy->widths[l] * P + 15) / 16 * 16;
     return numbers;
