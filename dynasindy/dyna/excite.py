@@ -7,10 +7,7 @@ where episodes do, with the rest of the signal. From then on the signal lies on 
     u = u_e - K (x - x_0) + strength * (signal - its mean),        dx/dt = A (x - x_0) + B u + c,   c + B u_e = 0,
 
 of a linear model, fitted to the tries so far near the start x_0 (`_LocalModel`). Each try that leaves the limits all
-the same halves the strength. Behind sensors the observer relies on that model, too, until there is a better one, and
-the place that is held is led from x_0 to and fro between the targets of each output on which no rate of change depends.
-Any value of it is a rest, and beside the noise of sensors small moves would not tell that nothing depends on it far
-away.
+the same halves the strength. Behind sensors the observer relies on that model, too, until there is a better one.
 """
 
 from __future__ import annotations
@@ -100,8 +97,6 @@ MUCH = 0.25
 """Part of the excitation that is left out from which on more data would help."""
 MARGIN = 0.9
 """Largest mean input of the loop."""
-DRAWN, ROOM = 256, 0.8
-"""Targets that tell how far outputs are led, and the share of the limits within which they have to lie."""
 LOOKED_AT = 100
 """Control periods, at least, that are simulated again in shorter steps."""
 
@@ -232,7 +227,6 @@ class RegulatedExcitation:
         strength: Factor on the signal once it has grown.
         gain: K, `(n_u, n_x)`; None as long as the signal acts alone.
         home: x_0, `(n_x,)`, once there is a gain.
-        ends: Between which it is led to and fro, `(2, n_x)`; both are x_0 where it stays.
         mean: u_e, `(n_u,)`.
 
     Args:
@@ -242,7 +236,7 @@ class RegulatedExcitation:
     def __init__(self, signal: Excitation) -> None:
         self.signal, self.begun, self.strength = signal, 0, 1.0
         self.gain: Tensor | None = None
-        self.mean, self.home, self.ends = signal.offset, torch.zeros(0), torch.zeros(0)
+        self.mean, self.home = signal.offset, torch.zeros(0)
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write `action`."""
@@ -253,16 +247,9 @@ class RegulatedExcitation:
         added = self.strength * self.signal.growth(tensordict["step_count"]).to(u) * (u - self.signal.offset.to(u))
         held = self.mean  # where no regulator is
         if self.gain is not None:
-            away = tensordict["state"].double() - self.led(tensordict["step_count"])
+            away = tensordict["state"].double() - self.home
             held = (self.mean - away @ self.gain.mT).clamp(-1.0, 1.0)
         return tensordict.set("action", (held.to(u) + added).clamp(-1.0, 1.0))
-
-    def led(self, steps: Tensor) -> Tensor:
-        """Return where the regulator holds the plant so many periods after the start of a try, `(*batch, n_x)`."""
-        turns = steps.double() / self.signal.n_steps
-        far = self.strength * (4 * turns).clamp_max(1.0) * (self.ends - self.home).abs().amax(0)
-        turn = torch.sin(2 * math.pi * turns)
-        return torch.minimum(torch.maximum(self.home + far * turn, self.ends[0]), self.ends[1])
 
     def close(self, rows: TensorDict, parts: PlantComponents) -> None:
         """Fit a linear model to what was seen and regulate it; the loop stays as it is where nothing holds the model.
@@ -278,29 +265,10 @@ class RegulatedExcitation:
         solved = regulated(found.a, found.b, parts.plant.dt, 1.0 / scale.square(), 1.0)
         if solved is None:
             return
-        self.home, self.gain, self.ends = found.home, solved.gain, found.home.expand(2, -1)
+        self.home, self.gain = found.home, solved.gain
         against = torch.linalg.lstsq(found.b / scale.unsqueeze(-1), -found.c / scale, driver="gelsd").solution
         self.mean = against.clamp(-MARGIN, MARGIN)
         if parts.sensing is not None and found.model is not None:
             begins = [*(rows["step_count"].flatten() == 0).nonzero().flatten().tolist(), len(rows)]
             tries = [rows[first:end] for first, end in pairwise(begins)]
             parts.sensing.observer.lean(found.model, [measurements_and_inputs(tried) for tried in tries])
-            self.ends = _free_ends(found, parts)
-
-
-def _free_ends(found: _LocalModel, parts: PlantComponents) -> Tensor:
-    """Return the ends of the targets of outputs on which no rate of change depends, else x_0, `(2, n_x)`."""
-    ends, task = found.home.repeat(2, 1), parts.plant.task
-    if not isinstance(task, Tracking):
-        return ends
-    drawn = task.sample(torch.Size((DRAWN,)), torch.Generator().manual_seed(0))
-    targets = task.reference(drawn, torch.zeros(DRAWN, 1)).double()
-    low, high = _excitation_limits(parts)
-    for place, values in zip(task.outputs, targets.unbind(-1), strict=True):
-        if not bool(found.a[:, place].any()):
-            home = found.home[place]
-            far = [home + ROOM * (end[place] - home) for end in (low, high)]
-            inside = values[(values >= far[0]) & (values <= far[1])]
-            both = torch.cat([inside, home.reshape(1)])
-            ends[:, place] = torch.stack([both.min(), both.max()])
-    return ends

@@ -141,8 +141,8 @@ class Carried(System):
         return torch.stack((v, omega, push, 16.0 * torch.sin(theta) - 1.5 * torch.cos(theta) * push), -1)
 
 
-@pytest.mark.parametrize(("spring", "led"), [(0.0, True), (4.0, False)])
-def test_behind_sensors_an_output_that_nothing_depends_on_is_led_between_its_targets(spring, led):
+@pytest.mark.parametrize("spring", [0.0, 4.0])
+def test_behind_sensors_a_pole_that_falls_is_held_after_a_few_tries(spring):
     """The pole falls e-fold in a quarter of a second, five periods, and its rates are not measured."""
     plant = Carried(spring)
     box = [-1.0, 0.0], [1.0, 0.0]
@@ -154,8 +154,6 @@ def test_behind_sensors_an_output_that_nothing_depends_on_is_led_between_its_tar
     excited = excite(SimpleNamespace(plant=env, env=sensing.around(env), excitation=signal, sensing=sensing))
     begins = [*(excited["step_count"].flatten() == 0).nonzero().flatten().tolist(), 200]
     assert len(begins) <= 5 and max(b - a for a, b in zip(begins, begins[1:], strict=False)) > 80
-    place = excited["next", "true_state"][begins[-2] :, 0]
-    assert (place.max() > 0.5 and place.min() < -0.5) == led
 
 
 def test_the_loop_is_the_regulator_of_the_plant_near_its_start():
