@@ -321,22 +321,18 @@ class ControlEnv(EnvBase):
         self.past.popleft()
 
     def _within(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        """Advance states as `advance` does; those that leave their ranges stay where they leave them."""
+        """Advance states as `advance` does; an episode is over and stays where its first states leave their ranges."""
         samples, touched = self.advance(x, u)
-        return (self._left(x, samples) if math.isfinite(self.left_beyond) else samples), touched
-
-    def _left(self, x: Tensor, samples: Tensor) -> Tensor:
-        """Return samples `(*batch, substeps, n_x)` of which an episode ends where its first states leave their ranges.
-
-        It stays there: those states at the end of their ranges, the others where the period began.
-        """
+        if math.isinf(self.left_beyond):
+            return samples, touched
+        # Those states stay at the end of their ranges, the others where the period began.
         ends = self.left_beyond * x.new_tensor(self.system.signature.x_scale)
         beyond = samples.abs() > ends
         first = samples.gather(-2, beyond.int().argmax(-2, keepdim=True)).squeeze(-2)
-        there = torch.where(beyond.any(-2), torch.minimum(torch.maximum(first, -ends), ends), x)
+        there = torch.where(beyond.any(-2), first.clamp(-ends, ends), x)
         was = (x.abs() >= ends).any(-1, keepdim=True)
         over = was | beyond.any(-2).any(-1, keepdim=True)
-        return torch.where(over.unsqueeze(-2), torch.where(was, x, there).unsqueeze(-2), samples)
+        return torch.where(over.unsqueeze(-2), torch.where(was, x, there).unsqueeze(-2), samples), touched
 
     def _moved(self, tensordict: TensorDictBase, samples: Tensor, touched: Tensor) -> TensorDict:
         """Return what a step shows, of samples `(*batch, substeps, n_x)` and touched stops, `(*batch,)`."""

@@ -179,7 +179,6 @@ def _along(
     """Return points, inputs, gains and values of the rest and of a way, all counted from the rest."""
     x_e, u_e = regulator.rest(reference)
     gain, value = regulator.gain, regulator.cost
-    x, u = [torch.zeros_like(x_e)], [torch.zeros_like(u_e)]
     gains, values = [gain], [value]
     weight = regulator.weights.inputs * torch.eye(gain.shape[0])
     if len(way.inputs):
@@ -188,11 +187,11 @@ def _along(
         gain = torch.linalg.solve(weight + b[k].mT @ value @ b[k], b[k].mT @ value @ a[k])
         value = regulator.squares + a[k].mT @ value @ (a[k] - b[k] @ gain)
         value = 0.5 * (value + value.mT)
-        x.append(way.states[k] - x_e)
-        u.append(way.inputs[k] - u_e)
         gains.append(gain)
         values.append(value)
-    return torch.stack(x), torch.stack(u), torch.stack(gains), torch.stack(values)
+    x = torch.cat([x_e[None], way.states[:-1].flip(0)]) - x_e
+    u = torch.cat([u_e[None], way.inputs.flip(0)]) - u_e
+    return x, u, torch.stack(gains), torch.stack(values)
 
 
 @torch.no_grad()
