@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import validate_call
 from torch import Tensor
 
 from dynasindy.control import Controller
@@ -113,6 +114,7 @@ class Simulation:
         return picture.getvalue()
 
 
+@validate_call(config={"arbitrary_types_allowed": True})
 def simulate(
     controller: Controller,
     plant: System,
@@ -159,6 +161,7 @@ def simulate(
     return Simulation(evaluate(env, policy, scenario, None if sensing is None else sensing.on(env, sensing.rng)))
 
 
+@validate_call(config={"arbitrary_types_allowed": True})
 def excite(
     plant: System,
     duration: float = 10.0,

@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from pydantic import validate_call
 
 from dynasindy.agents import Actor
 from dynasindy.control import Controller
@@ -86,6 +87,7 @@ HALVES = 2
 """Stretches of a log that a model is fitted to again, to see what the log leaves open."""
 
 
+@validate_call(config={"arbitrary_types_allowed": True})
 def plan(
     model: SindyModel,
     task: Tracking | Mapping[str, tuple[float, float]],
@@ -182,6 +184,7 @@ def _refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> 
     return found
 
 
+@validate_call(config={"arbitrary_types_allowed": True})
 def forecast(
     controller: Controller,
     model: SindyModel,

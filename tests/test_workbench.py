@@ -319,3 +319,25 @@ def test_a_motion_that_is_fast_against_the_period_is_flown_in_steps_that_are_sta
     controller = dynasindy.plan(model, {"v": (-0.5, 0.5)}, dt=period, updates=2)
     assert controller.setup.substeps == steps
     assert math.isfinite(float(abs(dynasindy.simulate(controller, model, {"v": 0.2}).states).max()))
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda log, model: dynasindy.read(None),
+        lambda log, model: dynasindy.read("log.csv", time=5),
+        lambda log, model: dynasindy.read("log.csv", dt=math.inf),
+        lambda log, model: dynasindy.identify("log.csv"),
+        lambda log, model: dynasindy.identify(log, library=[None]),
+        lambda log, model: dynasindy.identify(log, known={"theta": 5}),
+        lambda log, model: dynasindy.plan(model, {"theta": 0.4}),
+        lambda log, model: dynasindy.plan(model, {"theta": (-0.4, 0.4)}, log="log.csv"),
+        lambda log, model: dynasindy.forecast(model, log),
+        lambda log, model: dynasindy.simulate(model, log, {"theta": 0.4}),
+    ],
+)
+def test_arguments_of_other_kinds_are_refused_by_their_names(call):
+    log = dynasindy.excite(Pendulum(), duration=2.0)
+    model = SindyModel(log.signature, "polynomial")
+    with pytest.raises(ValueError):
+        call(log, model)

@@ -127,7 +127,7 @@ class LogReader:
                     f"{setting(f'data.{key}')} is {given}; allowed are the names of columns, each once, or null, where "
                     "the headings are to tell: correct it"
                 )
-        if self.dt is not None and not self.dt > 0:
+        if self.dt is not None and not 0 < self.dt < math.inf:
             raise ValueError(f"{setting('data.dt')} is {self.dt} s; allowed is a time > 0, or none for the file's own")
 
     @property

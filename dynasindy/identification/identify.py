@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import pandas as pd
 import torch
+from pydantic import validate_call
 from torch import Tensor
 
 from dynasindy.data.columns import Column
@@ -123,6 +124,7 @@ class Identified(LogFit):
         return set(rate_states(self.model.library, self.model.constraints))
 
 
+@validate_call(config={"arbitrary_types_allowed": True})
 def read(
     path: str | Path | Sequence[str | Path],
     states: Mapping[str, Any] | Sequence[str] | None = None,
@@ -154,6 +156,7 @@ def read(
     return Source.of(LoggedData(files, states, inputs, time, dt).recording(), validation_share)
 
 
+@validate_call(config={"arbitrary_types_allowed": True})
 def identify(
     log: Source,
     library: str | Sequence[str] | LibraryBuilder = "auto_rig",
@@ -199,7 +202,7 @@ def identify(
     before = require_consistent_rates(source.training, source.signature, rates, columns)
     model = build(signature=source.signature, known=known)
     for each in before:
-        warnings.warn(str(each), stacklevel=2)
+        warnings.warn(str(each), stacklevel=4)  # past the check of arguments
     found = fit_log(model, source)
     found.model.findings = (*before, *found.report.findings, *found.content)
     return found.model
