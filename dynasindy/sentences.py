@@ -445,7 +445,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.long_format": "each row holds one signal; each of them has a column: {signals:list}",
     "log.title_lines": "{count} lines above the headings were skipped",
     "log.sheet": "the sheet {sheet} is read, which holds most; left out: {others:list}",
-    "log.other_lengths": "left out, as the others have {length} values: {names:list}",
+    "log.other_lengths": "left out, as no columns of {length} real numbers: {names:list}",
     "log.same_columns": "read once, as they stand there twice, with the same numbers: {columns:list}",
     "log.second_clock": "{columns:list} of the clock {clocks:list} stand at the times of {first}",
     "log.no_time": "the file has no column of time, and its rows are taken as even",
@@ -482,8 +482,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.stop": "{count} samples with {state} at {value:g}, a stop, saturation or frozen sensor, were masked",
     "log.followed": "{columns:list} move in steps that another column follows, and are left out as references; if they "
     "are states, give {states:data.states}",
-    "log.held_states": "{states:list} stand still in most rows, in which others move, as commands do, sensors that "
-    "failed, and samples that are repeated; name commands in <data.inputs>, and write repeated samples as empty cells",
+    "log.held_states": "{states:list} stand still in most rows, as commands do, sensors that failed, and samples "
+    "that are repeated; name commands in <data.inputs>, and write repeated samples as empty cells",
     "log.guessed_inputs": "taken as input: {inputs:list}, by steps where all others move in most rows; if that is "
     "wrong, correct {inputs:data.inputs} and {states:data.states}",
     "log.unmeasured": "{state} is seen by no sensor; it is estimated with the model",

@@ -267,8 +267,9 @@ def infer(
         if numbers and lacks != "command":
             facts["guess"] = _guess_columns(table, clock if timed else None, found, dt)
         raise LogError("log.no_roles", path=path, lacks=lacks, left_out=out, **facts)
-    still = [name for name in left() if name in chosen and _is_held(moves[name])] if states is None else []
-    if still and min(_standing(moves[name]) for name in chosen if name in moves) < HELD:
+    moving = min((_standing(moves[name]) for name in chosen if name in moves), default=1.0) < HELD
+    still = [name for name in left() if name in chosen and states is None and _is_held(moves[name], moving)]
+    if still:
         out.append(weak("log.held_states", states=still))
     if led:
         out.append(weak("log.followed", columns=led, states=[*chosen, *led]))
@@ -283,10 +284,12 @@ def _is_label(column: Array, rarely: bool = True) -> bool:
     return 1 < levels <= 10 and _standing(column) > 1 - RARE if rarely else levels == 2
 
 
-def _is_held(column: Array) -> bool:
-    """Tell whether a column stands in most rows and moves by more than its last digit, which a coarse sensor does."""
-    steps = np.abs(np.diff(column))
-    return bool(steps.any()) and _standing(column) > HELD and np.median(steps[steps > 0]) > 5 * _last_digit(column)
+def _is_held(column: Array, others_move: bool) -> bool:
+    """Tell whether a column stands in most rows, between all moves or while others move, as no coarse sensor does."""
+    moves, steps = np.flatnonzero(np.diff(column)), np.abs(np.diff(column))
+    if len(moves) < 2 or _standing(column) <= HELD or np.median(steps[moves]) <= 2 * _last_digit(column):
+        return False
+    return others_move or bool(np.median(np.diff(moves)) > 1)
 
 
 def _shifted(columns: Mapping[str, Array]) -> list[str]:

@@ -288,26 +288,27 @@ def _of_columns(tree: Mapping[str, Any], path: Path) -> Raw:
     """Return the arrays of one length, the commonest, of nested structures."""
     flat = dict[str, NDArray[Any]]()
     for name, values in _flatten(tree):
-        if values.dtype.kind in "biufM" and len(values) > 1:
+        if values.dtype.kind in "biufMcSU" and len(values) > 1:
             _put(flat, name, values)
-    lengths = Counter(map(len, flat.values()))
+    lengths = Counter(len(values) for values in flat.values() if values.dtype.kind in "biufM")
     if not lengths:
         raise ValueError(f"{path} holds no arrays of numbers; allowed are variables of one length: save the log so")
     length = max(lengths, key=lambda size: (lengths[size], size))
     kept = {
         name: np.append(_as_number(values), np.nan)[:length]
         for name, values in flat.items()
-        if abs(len(values) - length) <= 1
+        if abs(len(values) - length) <= 1 and values.dtype.kind != "c"  # a spectrum is as long as its signal
     }
     other = [f"{name} ({len(values)})" for name, values in flat.items() if name not in kept]
     frame = pd.DataFrame(kept, index=pd.RangeIndex(1, 1 + length))
     return frame, [note("log.other_lengths", length=length, names=other)] if other else []
 
 
-def _as_number(values: NDArray[Any]) -> NDArray[np.float64]:
+def _as_number(values: NDArray[Any]) -> NDArray[Any]:
+    """Return numbers, seconds of dates, or text, which may hold dates."""
     if values.dtype.kind in "Mm":
         return np.where(np.isnat(values), np.nan, values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64) / 1e9)
-    return values.astype(np.float64)
+    return values.astype(str if values.dtype.kind in "SU" else np.float64)
 
 
 def _flatten(tree: Any, name: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
@@ -329,8 +330,6 @@ def _flatten(tree: Any, name: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
             yield from _flatten(value, f"{name}[{k}]")
     elif values.dtype.names:
         yield from _flatten({field: values[field] for field in values.dtype.names})
-    elif values.dtype.kind == "c":
-        yield from _flatten({f"{name}_re": values.real, f"{name}_im": values.imag})
     elif (values := values.squeeze() if values.ndim > 1 else values).ndim == 2:
         tall = values if len(values) >= values.shape[1] else values.T
         yield from ((f"{name}[{k}]", column) for k, column in enumerate(tall.T))
@@ -360,9 +359,10 @@ def _read_hdf5(path: Path) -> Raw:
     with h5py.File(path, "r") as file:
 
         def keep(name: str, item: Any) -> None:
-            if isinstance(item, h5py.Dataset) and item.dtype.kind in "biufV" and "#refs#" not in name:
+            text = isinstance(item, h5py.Dataset) and h5py.check_string_dtype(item.dtype)
+            if isinstance(item, h5py.Dataset) and (text or item.dtype.kind in "biufV") and "#refs#" not in name:
                 short = _with_unit(name.rpartition("/")[2], item.attrs.get("unit", item.attrs.get("units", "")))
-                columns[name if short in columns else short] = item[()]
+                columns[name if short in columns else short] = np.asarray(item.asstr()[()], str) if text else item[()]
 
         file.visititems(keep)
     return _of_columns(columns, path)

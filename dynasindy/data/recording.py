@@ -420,7 +420,8 @@ def _counts_of_turn(steps: Array, rows: NDArray[np.int64], width: float) -> tupl
     lacking = np.abs(0.5 * (slopes[:-2] + slopes[2:]) * rows - steps)[np.abs(steps) > 0.5 * width]
     turn = float(np.median(lacking)) if len(lacking) else 0.0
     usual = (2.0 ** round(math.log2(turn)), float(f"{turn:.2g}")) if turn > 0 else ()
-    return tuple(known for known in usual if abs(known - turn) < 0.01 * turn)[:1]
+    sure = 0.01 if (steps == steps.round()).all() else 0.001  # 630 is no turn of 628.3 mm
+    return tuple(known for known in usual if abs(known - turn) < sure * turn)[:1]
 
 
 def _one_period(parts: Sequence[_Part], dt: float | None) -> float:

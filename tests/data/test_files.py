@@ -126,11 +126,19 @@ def test_arrays_of_other_lengths_are_left_out_and_said(tmp_path):
     assert found.findings[1] == note("log.other_lengths", length=300, names=["trigger (7)"])
 
 
-def test_what_is_complex_is_two_columns_and_an_array_of_three_dimensions_is_told(tmp_path):
-    np.savez(tmp_path / "log.npz", time=T, z=ANGLE + 2j * ANGLE**2, u=COMMAND, camera=np.zeros((ROWS, 3, 3)))
+def test_what_is_no_column_of_real_numbers_is_told_and_text_may_hold_the_time(tmp_path):
+    stamps = np.array([f"2025-03-14 09:26:{second:06.3f}" for second in T])
+    columns = {"time": stamps, "angle": ANGLE, "u": COMMAND, "z": 1j * ANGLE, "camera": np.zeros((ROWS, 3, 3))}
+    np.savez(tmp_path / "log.npz", **columns)
     found = LoggedData(str(tmp_path / "log.npz")).recording(None)
-    assert found.signature.state_names == ("z_re", "z_im") and found.transitions.x[5, 1] == 2 * ANGLE[5] ** 2
-    assert note("log.other_lengths", length=300, names=["camera (2700)"]) in found.findings
+    assert found.signature.state_names == ("angle",) and found.transitions.dt == pytest.approx(0.01)
+    assert note("log.other_lengths", length=300, names=["z (300)", "camera (2700)"]) in found.findings
+    with importlib.import_module("h5py").File(tmp_path / "log.h5", "w") as file:
+        for name in ("angle", "u"):
+            file[name] = columns[name]
+        file["time"], file["title"] = stamps.astype("S"), "swing"
+    found = LoggedData(str(tmp_path / "log.h5")).recording(None)
+    assert len(found.transitions) == ROWS - 1 and found.transitions.dt == pytest.approx(0.01)
 
 
 def test_a_damaged_file_and_a_format_without_its_package_cost_one_line(tmp_path, monkeypatch):

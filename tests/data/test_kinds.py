@@ -117,6 +117,9 @@ def test_a_place_that_jumps_by_its_range_to_either_side_goes_on_whatever_its_uni
     whole = turn * ANGLE / 3
     assert np.allclose(unwrap_angle("q", whole % turn, "-", told := []), whole)
     assert [each.values["turn"] for each in told] == [turn]
+    assert np.array_equal(
+        unwrap_angle("q", 0.6283 * whole % (0.6283 * turn), "-", told := []), 0.6283 * whole % (0.6283 * turn)
+    )
 
 
 LEVEL = np.interp(T, [0, 1.5, 1.8, 3.3, 3.6, 4], [0, 355, 2, 355, 1, 90])  # of a tank that is emptied
