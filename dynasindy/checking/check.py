@@ -274,16 +274,11 @@ def _begin(loop: ClosedLoop, settings: Settings) -> Tensor:
 
 
 def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: RestingLoop, seconds: float) -> list[Plane]:
-    """Start around the middle of the target range in planes of states, and see from where the plant comes back.
-
-    There is a plane of each output and its rate, and of each two outputs; where there is neither, of the output and
-    another state. A plant has come back where it ends as a flight without an initial error does: a loop that rests
-    beside its target comes back to there, and its steady error is told apart.
-    """
+    """Start around the middle of the target range in planes of states, and see from where the plant comes back."""
     task, signature = loop.task, loop.signature
     pairs = [(task.outputs[k], rate) for k, rate in zip(task.rated, task.rates, strict=True)]
     pairs += [(a, b) for k, a in enumerate(task.outputs) for b in task.outputs[k + 1 :]]
-    # A plant of the first order has no rates.
+    # A plant of the first order has no rates, and an output may be the only one.
     pairs = pairs or [(a, b) for a in task.outputs for b in range(signature.n_x) if a != b][:1]
     if not pairs:
         return []
@@ -301,7 +296,7 @@ def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: Resti
         flat = loop.stops.apply(flat)[0]
     flat = torch.cat([flat, x.to(flat).unsqueeze(0)])
     flights = loop.fly(flat, r.expand(len(flat), -1), seconds, "recovery from initial errors")
-    left = replace(flights, r=flights.end[-1:]).steady_error  # from there, not from the target
+    left = replace(flights, r=flights.end[-1:]).steady_error  # from where a flight without an initial error ends
     back = (left <= TOLERANCE * scale[task.outputs]).all(-1)[:-1].unflatten(0, (len(pairs), points, points))
     names, units, error = signature.state_names, signature.state_units, flights.steady_error[-1]
     return [

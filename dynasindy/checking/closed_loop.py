@@ -50,10 +50,7 @@ FULL = 0.99
 
 
 def _longest_step(model: SindyModel, setup: ControlSetup, finest: float = FINEST) -> float:
-    """Return the longest Runge-Kutta step by which a model is moved well [s]: a shorter one ends periods where it does.
-
-    What moves slowly is passed in few steps, however long a control period is.
-    """
+    """Return the longest Runge-Kutta step by which a model is moved well [s]: shorter ones end where it does."""
     generator = torch.Generator().manual_seed(0)
     size = torch.tensor(model.signature.x_scale, dtype=torch.float64)
     x, u = (

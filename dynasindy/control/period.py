@@ -119,12 +119,9 @@ def _shared(times: list[float]) -> list[float]:
 
 
 def _settles(env: ControlEnv, x: Tensor, u: Tensor, share: float = SETTLED) -> float:
-    """Return how long outputs take to settle within a share of a step under a linear regulator [s].
-
-    It is that of steps between the rests, with the model linear as at the middle one, or the median of the places
-    `(n, n_x)`, `(n, n_u)` where that is less: dry friction holds a plant at rest as if it moved slowly. It is 0 where
-    there is no rest or no regulator, or a policy begins as one, which sees the end of a motion whatever the window.
-    """
+    """Return how long outputs take to settle within a share of a step under a linear regulator [s], 0 without one."""
+    # Linear as at the middle rest, or the median of the places if less: friction holds a plant as if it moved slowly.
+    # A policy that begins as a regulator sees the end of a motion whatever the window.
     rests, weights = find_task_equilibria(env), Weights()
     if rests is None or not len(rests) or choose_plan_settings(env, rests).warm_start:
         return 0.0

@@ -103,10 +103,7 @@ FREE = ("folder:", "threads:", "device:", "results:", "resume:", "finish:", "plu
 
 
 def _check_settings(folder: Path, settings: str) -> None:
-    """Make sure that a run folder is empty or holds a run of the same settings, as `config.yaml` holds them.
-
-    What does not change a result is ignored, and what is null, as it may be a setting that older runs had.
-    """
+    """Make sure that a run folder is empty or holds a run of the same settings; null may be one that older runs had."""
     config = folder / "config.yaml"
     if not config.is_file():
         others = [file.name for file in folder.iterdir() if not file.name.startswith(".") and file.name not in MADE]

@@ -171,11 +171,8 @@ def _rates(evaluation: Evaluation) -> list[tuple[int, int]]:
 
 
 def _decaying(evaluation: Evaluation, longer: Evaluation) -> set[int]:
-    """Return the states that move less in longer runs than at the end of the others, wherever references rest there.
-
-    The longer runs are looked at until the reference leaves that rest, as its next jump starts new swings; where that
-    is within less than a run's length, nothing more is known than before.
-    """
+    """Return the states that move less in longer runs than at the end of the others, wherever references rest there."""
+    # A longer run counts until its reference jumps, which starts new swings, and not if that is within a run's length.
     scale = torch.tensor(evaluation.signature.x_scale, dtype=torch.float64)
     n, calm = len(evaluation.time), torch.ones(len(scale), dtype=torch.bool)
     for row in evaluation.resting.nonzero().flatten().tolist():

@@ -84,11 +84,8 @@ class _Episodes:
         self.end = self.end.masked_fill(new.unsqueeze(-1), self.length)
 
     def _draw_delays(self) -> Tensor:
-        """Draw by how much inputs are late, `(rows, 1)` [control periods].
-
-        About one in two is late, and by as much as may be: what lies between is easier than the ends, and a policy that
-        was planned with delays drawn evenly from between has less margin.
-        """
+        """Draw by how much inputs are late, `(rows, 1)` [control periods]: about one in two, by as much as may be."""
+        # What lies between is easier: a policy that is planned with delays drawn evenly has less margin.
         return self.planner.input_delay * (torch.rand(self.number, 1, generator=self.planner.rng) < 0.5).float()
 
     def _starts(self, x: Tensor, lost: Tensor) -> Tensor:
