@@ -204,8 +204,8 @@ def _checked(hint: Any) -> Any:
         if math.inf in options:
             return Annotated[Any, PlainValidator(partial(_number, endless=True))]
         limits: list[Any] = [each for each in options[1:] if isinstance(each, FieldInfo)]
-        for limit in (each for each in options if isinstance(each, range)):
-            return Annotated[int, BeforeValidator(partial(_number, limits=limit))]
+        if ranges := [each for each in options if isinstance(each, range)]:
+            return Annotated[int, BeforeValidator(partial(_number, limits=ranges[0]))]
         return Annotated[(_checked(options[0]), *limits)] if limits else _checked(options[0])
     if kind in (Union, UnionType, dict, list, tuple) and options:
         inner = tuple(each if each is Ellipsis else _checked(each) for each in options)

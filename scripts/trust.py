@@ -17,7 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 from dynasindy.safe_io import read_text, reading
 
 LARGEST, DEEPEST = 250_000, 20
-"""Size [bytes] and depth that a config.yaml may have; those of runs have 3000 and 6."""
+"""Size [bytes] and depth that a config.yaml may have; those of runs have 3000 and 6. Deep ones take YAML minutes."""
 CLASSES = (
     *("systems", "tasks", "envs", "excitation", "sindy", "planning", "agents", "sensing"),
     *("evaluation.scenarios", "evaluation.disturbances", "evaluation.ablation", "dyna.experiment"),
@@ -40,9 +40,10 @@ def read_config(file: Path) -> DictConfig:
         try:
             for event in yaml.parse(text, Loader=yaml.SafeLoader):
                 depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-                named = isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None)
-                odd = named or getattr(event, "tag", None) or "${" in (getattr(event, "value", None) or "")
-                if odd or depth > DEEPEST:
+                anchor, tag, value = (
+                    getattr(event, name, None) for name in ("anchor", "tag", "value")
+                )  # of aliases, too
+                if anchor or tag or "${" in (value or "") or depth > DEEPEST:
                     line = event.start_mark.line + 1
                     raise ValueError(f"line {line} is no plain key and value, as a run writes them")
             config = OmegaConf.create(text)

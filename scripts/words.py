@@ -93,13 +93,14 @@ def require_keys(config_name: str, settings: list[str]) -> list[str]:
         first = next(override.sweep_string_iterator(), None) if many else word.partition("=")[2].strip("'\"")
         if first is None:
             raise ValueError(f"the sweep has no job, as {word} is empty; give values, such as 'seed=range(0,5)'")
-        if key == "hydra.searchpath":
-            chosen.append(word)
-        elif not (key.startswith("hydra/") or any((folder / key).is_dir() for folder in folders)):
-            keys |= {} if key.startswith("hydra.") else {word: key}
-        elif not glob:  # of several options the first stands for all, and null is one that there is not
+        group = key.startswith("hydra/") or any((folder / key).is_dir() for folder in folders)
+        if group and not glob:  # of several options the first stands for all, and null is one that there is not
             text = not first.startswith("[") and word[0] != "~"
             chosen.append(f"{override.get_key_element()}='{first}'" if text else word)
+        elif key == "hydra.searchpath":
+            chosen.append(word)
+        elif not group and not key.startswith("hydra."):
+            keys[word] = key
     whole: Any = OmegaConf.to_container(compose(config_name, chosen))
     names = [f"{group}.{name}".lstrip(".") for group, node in nodes(whole) for name in node]
     added = []
