@@ -37,11 +37,7 @@ def run_steps(folder: object, *names: str, plugins: Sequence[str] = ()) -> list[
 
 
 def improvements(
-    folder: object,
-    words: Sequence[str],
-    episodes: int | None = None,
-    checked: bool = True,
-    imagined: float | None = None,
+    run: object, words: Sequence[str], episodes: int | None = None, checked: bool = True, imagined: float | None = None
 ) -> str:
     """Return what helps where the plant is not controlled: where the loop is weak, and more or better data.
 
@@ -51,7 +47,7 @@ def improvements(
 
     lines = []
     if checked:
-        lines.append(command_line("check", [f"run={folder}"], "tells at which targets the loop is weak, and how"))
+        lines.append(command_line("check", [f"run={run}"], "tells at which targets the loop is weak, and how"))
     if episodes is not None and not any(word.startswith("resume=") for word in words):
         key, value, does = "train.episodes", max(3, 2 * episodes), "flies more episodes, whose data mend the model"
         if imagined is not None and imagined > WITHIN:  # where the model is not what fails

@@ -40,10 +40,8 @@ def read_config(file: Path) -> DictConfig:
         try:
             for event in yaml.parse(text, Loader=yaml.SafeLoader):
                 depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-                anchor, tag, value = (
-                    getattr(event, name, None) for name in ("anchor", "tag", "value")
-                )  # of aliases, too
-                if anchor or tag or "${" in (value or "") or depth > DEEPEST:
+                anchor, tag, value = (getattr(event, name, None) for name in ("anchor", "tag", "value"))
+                if anchor or tag or "${" in (value or "") or depth > DEEPEST:  # an alias has an anchor, too
                     line = event.start_mark.line + 1
                     raise ValueError(f"line {line} is no plain key and value, as a run writes them")
             config = OmegaConf.create(text)
