@@ -102,18 +102,20 @@ def end_sweep(config: DictConfig, began: float) -> None:
     print(f"Sweep: {folder}")
     if any(folder.rglob("metrics.json")) and config.hydra.job.get("config_name") == "train":
         say(f"next:\n  {program('table')} {folder}  # the table of its jobs")
-    if "level" in config:
-        from dynasindy.evaluation.ablation import gather
-        from dynasindy.viz.learning import draw_ablation
+    try:
+        if "level" in config:
+            from dynasindy.evaluation.ablation import gather
+            from dynasindy.viz.learning import draw_ablation
 
-        results, level = Path(config.results), instantiate(config.level)
-        if gather(folder, results, level).empty:
-            print(f"No run in {folder} has finished, so there are no tables and figures.")
-        else:
-            draw_ablation(results, level)
-            say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
-    if reasons := sorted(str(file) for file in folder.rglob("*error.txt") if file.stat().st_mtime >= began):
-        raise ValueError(f"{len(reasons)} jobs failed; the reasons are in {', '.join(reasons)}")
+            results, level = Path(config.results), instantiate(config.level)
+            if gather(folder, results, level).empty:
+                print(f"No run in {folder} has finished, so there are no tables and figures.")
+            else:
+                draw_ablation(results, level)
+                say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
+    finally:  # jobs that failed may be why there are no tables
+        if reasons := sorted(str(file) for file in folder.rglob("*error.txt") if file.stat().st_mtime >= began):
+            raise ValueError(f"{len(reasons)} jobs failed; the reasons are in {', '.join(reasons)}")
 
 
 def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = True) -> None:
