@@ -51,8 +51,13 @@ TOP: dict[str, Any] = {
     **{"evaluation.every": Annotated[int, Field(ge=1)], "checkpoint.every": Annotated[int, Field(ge=0)]},
     **{"evaluation.within": Annotated[float, Field(gt=0)], "dt": Seconds, "seconds": Seconds | None, "flights": int},
     **{"targets": Annotated[list[list[float]], SOME] | None, "planner": dict[str, Any] | None},
-    **dict.fromkeys(("low", "high", "plant.low", "plant.high"), list[float] | None),
-    **{"plant.functions": dict[str, str] | None, "plant.noise": dict[str, float] | None},
+    **dict.fromkeys(("low", "high"), list[float] | None),
+    **dict.fromkeys(("plant.low", "plant.high"), list[float]),
+    **dict.fromkeys(("plant.known", "plant.functions"), dict[str, str] | None),
+    **dict.fromkeys(("plant.amplitude", "plant.offset"), float | list[float]),
+    **{"plant.start": dict[str, float | list[float]] | None, "plant.bounds": dict[str, float | list[float]]},
+    **{"plant.initial": dict[str, dict[str, float]] | None, "plant.noise": dict[str, float] | None},
+    **{"plant.rates": list[str | None], "plant.first": float},
     **{"plant.sensors": dict[str, dict[str, float]], "plant.signals.step": list[list[float]]},
     **{"plant.signals.sine": Signal, "plant.signals.square": Signal, "reach": float, "fmi": Literal[2, 3]},
     # Their number grows with the power of the outputs, and flights with the square of the grid.
@@ -61,7 +66,7 @@ TOP: dict[str, Any] = {
 }
 """Keys of any command's config, besides those of what it builds, and those whose types import TorchRL.
 
-Other keys of the plant are checked where they are copied to, and a mistake is named as the plant's by `command`.
+What a group copies from the plant is checked there first, and a mistake is named as the plant's by `command`.
 """
 EXPORTING: dict[str, Any] = {"formats": list[Literal["c", "onnx", "fmu", "model"]]}
 """What keys of export allow beside those of other commands."""
