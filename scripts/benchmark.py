@@ -4,6 +4,7 @@ import argparse
 import importlib
 import os
 import sys
+from collections.abc import Sequence
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: one thread is what is compared
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
@@ -14,20 +15,25 @@ BENCHMARKS = ("gradient", "identify", "logs", "peers", "plants", "rigs")
 """Modules of `benchmarks`, each with a `main` and with `add_options` for its command line."""
 
 
+def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
+    """Return what a command line gives a benchmark; a mistake or `--help` ends the program."""
+    module = importlib.import_module(f"benchmarks.{name}")
+    described = (module.__doc__ or "").partition("\n\n")[0]
+    parser = argparse.ArgumentParser(prog=f"{program('benchmark')} {name}", description=described)
+    module.add_options(parser)
+    return parser.parse_args(argv)
+
+
 def main() -> None:
     """Read the command line of the benchmark that its first word names, and let it work."""
     parser = argparse.ArgumentParser(program("benchmark"), argparse.SUPPRESS, purpose("benchmark"))
     parser.add_argument("name", nargs="?", default="none", choices=BENCHMARKS, help="each has options and a --help")
     with pipe_guard():
         name = parser.parse_args(sys.argv[1:2]).name
-        benchmark = importlib.import_module(f"benchmarks.{name}")
-        described = (benchmark.__doc__ or "").partition("\n\n")[0]
-        options = argparse.ArgumentParser(f"{program('benchmark')} {name}", description=described)
-        benchmark.add_options(options)
-        arguments = options.parse_args(sys.argv[2:])
+        arguments = parse(name, sys.argv[2:])
         if arguments.out is not None:
             require_writable(arguments.out.parent)
-        benchmark.main(arguments)
+        importlib.import_module(f"benchmarks.{name}").main(arguments)
 
 
 if __name__ == "__main__":
