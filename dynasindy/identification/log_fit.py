@@ -37,7 +37,7 @@ from dynasindy.progress import Event, TimeIsUp, listening, report_progress, repo
 from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.fit_report import FitReport
 from dynasindy.sindy.functions import QUOTIENTS
-from dynasindy.sindy.lag_states import lag_state_candidates, lag_state_findings, with_lag_state
+from dynasindy.sindy.lag_states import acts_at_once, lag_state_candidates, lag_state_findings, with_lag_state
 from dynasindy.sindy.library import Constraints, Factor, Feature, Library, variable
 from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
@@ -577,7 +577,7 @@ class _Search:
             stages = [each for each in stages if len(each.library) * SAMPLES_EACH <= rows]
         for library in stages:
             for signal in of.model.followed.values():
-                library = with_lag_state(library, signal)
+                library = with_lag_state(library, signal, acts_at_once(of.model, signal))
             begun = replace(of, models=[_with_coefficients(library, model) for model in of.models], structure=None)
             found = self._at_prices(f"{of.what}, functions", begun, replace(of.settings, rounds=0, select=True))
             of = replace(found, structure=of.structure, what=of.what) if found is not None else of
@@ -689,7 +689,9 @@ class _Search:
 
     def _behind(self, best: Candidate) -> list[Finding]:
         """Say where a simple model predicted better what was kept."""
-        fold, ratios = self.folds[0], list(map(HoldOut.ratios, self.folds, best.errors))
+        # What a step of a sensor hides of a fit is a twelfth of its square.
+        fine = [replace(fold, floor=fold.floor / math.sqrt(12)) for fold in self.folds]
+        fold, ratios = self.folds[0], list(map(HoldOut.ratios, fine, best.errors))
         if len({len(each) for each in ratios}) > 1:
             ratios = ratios[:1]
         behind = torch.stack(ratios).mean(0).exp().nan_to_num(0.0)

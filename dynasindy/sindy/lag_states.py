@@ -4,7 +4,7 @@ The state a follows the signal s by a' = (s - a) / T.
 
 | signal           | what it may be                            | how the equations read a                        |
 | ---------------- | ----------------------------------------- | ----------------------------------------------- |
-| an input u       | a motor, a propeller, a valve that lags   | in the place of u                               |
+| an input u       | a motor, a propeller, a valve that lags   | in the place of u, or beside it                 |
 | a measured x     | a wall, a store beside it, what creeps    | as x - a, in the equation of x, or of its rate  |
 
 A store that x alone fills has this form whatever its capacity and its losses: its own level b, b' = p x - b / T + q, is
@@ -87,16 +87,22 @@ def lag_state_candidates(model: SindyModel, data: Transitions) -> list[SindyMode
     plain = _unexplained(model, alone.rows(model.library, model.library))
     names = [name for i, name in enumerate(model.signature.state_names) if bool(measured[i] & _moved(model, i)[1])]
     inputs = [name for name in model.signature.input_names if name not in model.followed.values()]
-    for signals in [(name,) for name in (*inputs, *names)] + [tuple(inputs)] * (len(inputs) > 1):
-        wide, lags = reduce(with_lag_state, signals, model), len(signals)
+    alone_or_all = dict.fromkeys([*((name,) for name in (*inputs, *names)), *([tuple(inputs)] if inputs else ())])
+    trials = [(signals, reduce(with_lag_state, signals, model)) for signals in alone_or_all]
+    trials += [((name,), with_lag_state(model, name, beside=True)) for name in inputs]
+    reached = dict[tuple[str, ...], float]()  # what an input gains beside its lag counts, not what the lag does
+    for signals, wide in trials:
+        lags, more = len(signals), int(wide.constraints.free.sum() - model.constraints.free.sum())
         rows = {(delay, time): _led(each, wide, signals, time) for delay, each in late.items() for time in times}
         costs = {key: _unexplained(wide, each, lags) for key, each in rows.items()}
         if not costs:
             continue
         delay, time = best = min(costs, key=costs.__getitem__)
-        gain, count = plain - costs[best], len(rows[best][0])
-        # The time, and each state, are a number more; what hardly lags stands for a rate, which explains itself.
-        if gain > (1 + lags) / 2 * math.log(count) and (signals[0] in inputs or time > times[0]):
+        count = len(rows[best][0])
+        # The time, and each coefficient, is a number more; what hardly lags stands for a rate, which explains itself.
+        gain = min(plain, reached.get(signals, plain)) - costs[best] - more / 2 * math.log(count)
+        reached[signals] = costs[best]
+        if gain > 0 and (signals[0] in inputs or time > times[0]):
             wide.initial, wide.initial_delay = _solved(wide, rows[best], time, lags), delay
             found.append((gain / count, wide))
     return [wide for _, wide in sorted(found, key=lambda each: -each[0])]
@@ -156,26 +162,36 @@ def _solved(wide: SindyModel, rows: Rows, time: float, lags: int) -> Tensor:
     return found
 
 
-def with_lag_state(model: SindyModel, signal: str) -> SindyModel:
+def acts_at_once(model: SindyModel, signal: str) -> bool:
+    """Tell whether an input that a state of a model follows stands in other equations, too."""
+    others = (each for each in model.library.features if "ahead" not in [factor.function for factor in each.factors])
+    return signal in model.signature.input_names and any(signal in each.variables for each in others)
+
+
+def with_lag_state(model: SindyModel, signal: str, beside: bool = False) -> SindyModel:
     """Return a model with one state more, which follows a signal, without coefficients but those that are known.
 
     Args:
         model: what may act through a lag.
         signal: the input in whose place the state stands, or a measured state that it stands beside.
+        beside: whether an input acts both at once and through the lag, each where it may: on a part of a plant that is
+            measured later than the others it acts late.
     """
     old, name = model.signature, f"{signal}_lagging"
     own, states = of("ahead", signal, name), model.signature.state_names
-    read, more = list(model.library.features), {}
+    read, more, rows = list(model.library.features), {}, list(range(len(model.library)))
     if signal in old.input_names:
         signature = old.with_state(name, "1")
-        read = [feature.renamed({signal: name}) for feature in read]
+        through = [feature.renamed({signal: name}) for feature in read]
+        late = [k for k, feature in enumerate(read) if beside and signal in feature.variables]
+        read, rows = (read if beside else through) + [through[k] for k in late], rows + late
     else:
         place = old.state_index(signal)
         signature = old.with_state(name, old.state_units[place], old.x_scale[place])
         more = {states[_moved(model, place)[0]]: [own.name()]}
     written, known = [feature.name() for feature in read], rate_states(model.library, model.constraints)
     allowed = {
-        state: [n for n, may in zip(written, model.constraints.free[:, i], strict=True) if may] + more.get(state, [])
+        state: [n for n, k in zip(written, rows, strict=True) if model.constraints.free[k, i]] + more.get(state, [])
         for i, state in enumerate(states)
     }
     return SindyModel(

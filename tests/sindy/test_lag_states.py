@@ -138,6 +138,30 @@ def test_actuators_that_lag_alike_are_found_together():
     assert terms(best, "v")["u_2_lagging"] == pytest.approx(5, rel=0.05)
 
 
+def test_an_input_acts_late_on_what_a_camera_sees_late_and_at_once_on_the_rest():
+    """A cart, v' = 8 u - 2 v, and what hangs from it, w' = -9 q - 0.5 w - 4 u, seen two samples late."""
+    u = levels(60, 15)
+
+    def field(x, u):
+        return torch.stack([8 * u[0] - 2 * x[0], x[2], -9 * x[1] - 0.5 * x[2] - 4 * u[0]])
+
+    x = moved(field, [0.0] * 3, u, DT)
+    x += 1e-3 * torch.randn(x.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    seen = torch.stack([x[2:, 0], x[:-2, 1], torch.full_like(x[2:, 0], math.nan)], -1)
+    data = Transitions.from_trajectory(seen, u[2:], DT)
+    signature = Signature(("v", "q", "w"), ("m/s", "rad", "rad/s"), ("u",), (4.0, 1.0, 2.0))
+    model = made(signature, ["1", "v", "q", "w", "u"], {"q": "w"})
+    model.fit(data)
+    best = lag_state_candidates(model, data)[0]
+    assert best.followed == {"u_lagging": "u"} and "u" in best.library.names
+    best.fit(widened(data))
+    assert terms(best, "v") == {"v": pytest.approx(-2, rel=0.05), "u": pytest.approx(8, rel=0.05)}
+    late, at_once = (terms(best, "w").get(name, 0.0) for name in ("u_lagging", "u"))
+    assert late + at_once == pytest.approx(-4, rel=0.05)
+    mean = lag_state_findings(best)[0].values["seconds"] * late / (late + at_once)
+    assert mean == pytest.approx(2 * DT, rel=0.25)  # by how much it acts late in the mean
+
+
 def test_what_creeps_after_an_angle_acts_in_the_equation_of_its_rate():
     """w' has -5 (q - q_lagging), and q_lagging' = (q - q_lagging) / 0.4."""
     data, model = arm(creep=5.0), made()
@@ -153,7 +177,7 @@ def test_a_second_heat_store_is_found_from_the_temperature_of_the_first():
     """With a = (W - 8) / 0.6 the wall's W' = (T - W) / 600 + (20 - W) / 900 is a' = (T - a) / 360, and T' as below."""
     data = oven()
     model = of_oven(data)
-    best = lag_state_candidates(model, data)[0]
+    best = next(each for each in lag_state_candidates(model, data) if "T_lagging" in each.followed)
     assert best.followed == {"T_lagging": "T"} and best.followers == {1: 0}
     assert best.signature.state_units == ("degC", "degC") and best.signature.x_scale == (120.0, 120.0)
     best.fit(widened(data))
