@@ -412,10 +412,19 @@ class _Search:
             names = source.signature.state_names
             if (not near or names in near) and better.get(names, model) is model:
                 self._regressed(model, source)
-        if self.builder is not None and self.tried:
+        wider = self.builder is not None and bool(self.tried)
+        if wider:
             self._with_larger_library()
-            if self._with_lag_states(before := self.best) is not before:
-                self._with_larger_library()
+            wider = self._with_lag_states(before := self.best) is not before
+        self._lengthen()
+        if wider:  # functions of the new state
+            before = self.best
+            self._with_larger_library()
+            if self.best is not before:
+                self._windows(self.best)
+
+    def _lengthen(self) -> None:
+        """Simulate the best models over longer windows."""
         leaders = dict[object, Candidate]()
         for each in sorted(self._near(self.tried), key=lambda each: each.score) if self.tried else ():
             leaders.setdefault(each.equations, each)
