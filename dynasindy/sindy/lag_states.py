@@ -93,11 +93,16 @@ def lag_state_candidates(model: SindyModel, data: Transitions) -> list[SindyMode
     reached = dict[tuple[str, ...], float]()  # what an input gains beside its lag counts, not what the lag does
     for signals, wide in trials:
         lags, more = len(signals), int(wide.constraints.free.sum() - model.constraints.free.sum())
-        rows = {(delay, time): _led(each, wide, signals, time) for delay, each in late.items() for time in times}
-        costs = {key: _unexplained(wide, each, lags) for key, each in rows.items()}
+        rows, costs = dict[tuple[float, float], Rows](), dict[tuple[float, float], float]()
+        best, near = (0.0, 0.0), times[::2]
+        for _ in range(2):  # every other time, and then those beside the best one
+            tried = {(delay, time): _led(each, wide, signals, time) for delay, each in late.items() for time in near}
+            rows, costs = rows | tried, costs | {key: _unexplained(wide, each, lags) for key, each in tried.items()}
+            best = min(costs, key=costs.__getitem__, default=best)
+            near = [time for time in times[1::2] if best[1] / 2 < time < 2 * best[1]]
         if not costs:
             continue
-        delay, time = best = min(costs, key=costs.__getitem__)
+        delay, time = best
         count = len(rows[best][0])
         # The time, and each coefficient, is a number more; what hardly lags stands for a rate, which explains itself.
         gain = min(plain, reached.get(signals, plain)) - costs[best] - more / 2 * math.log(count)
