@@ -30,11 +30,11 @@ def main(cfg: Any) -> None:
     folder = output_folder(run, "check", cfg.folder)
     found = check(ClosedLoop(controller, model), settings)
     findings = check_verdict(found)
-    write_json(folder / "check.json", check_record(found, findings))
     metrics = folder.parent / "metrics.json"
     if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
         ends = {"low": list(settings.low), "high": list(settings.high)}
         add_to_json(metrics, "check", {"stable": bool(found.stable.all()), "findings": records(findings), **ends})
+    write_json(folder / "check.json", check_record(found, findings))
     save_figures(draw_check(found), folder, cfg.formats)
     say("What the model predicts; the plant itself was not asked.", *check_lines(findings), f"Files: {folder}")
     if bool(unstable_targets(found).any()):
