@@ -308,7 +308,9 @@ def _as_number(values: NDArray[Any]) -> NDArray[Any]:
     """Return numbers, seconds of dates, or text, which may hold dates."""
     if values.dtype.kind in "Mm":
         return np.where(np.isnat(values), np.nan, values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64) / 1e9)
-    return values.astype(str if values.dtype.kind in "SU" else np.float64)
+    if values.dtype.kind == "S":
+        return np.char.decode(values, "utf-8", "replace")
+    return values if values.dtype.kind == "U" else values.astype(np.float64)
 
 
 def _flatten(tree: Any, name: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
@@ -362,7 +364,8 @@ def _read_hdf5(path: Path) -> Raw:
             text = isinstance(item, h5py.Dataset) and h5py.check_string_dtype(item.dtype)
             if isinstance(item, h5py.Dataset) and (text or item.dtype.kind in "biufV") and "#refs#" not in name:
                 short = _with_unit(name.rpartition("/")[2], item.attrs.get("unit", item.attrs.get("units", "")))
-                columns[name if short in columns else short] = np.asarray(item.asstr()[()], str) if text else item[()]
+                values = np.asarray(item.asstr("utf-8", "replace")[()], str) if text else item[()]
+                columns[name if short in columns else short] = values
 
         file.visititems(keep)
     return _of_columns(columns, path)

@@ -129,12 +129,13 @@ def test_arrays_of_other_lengths_are_left_out_and_said(tmp_path):
 def test_what_is_no_column_of_real_numbers_is_told_and_text_may_hold_the_time(tmp_path):
     stamps = np.array([f"2025-03-14 09:26:{second:06.3f}" for second in T])
     columns = {"time": stamps, "angle": ANGLE, "u": COMMAND, "z": 1j * ANGLE, "camera": np.zeros((ROWS, 3, 3))}
+    columns["operator"] = np.full(ROWS, "Jörg".encode("latin-1"))
     np.savez(tmp_path / "log.npz", **columns)
     found = LoggedData(str(tmp_path / "log.npz")).recording(None)
     assert found.signature.state_names == ("angle",) and found.transitions.dt == pytest.approx(0.01)
     assert note("log.other_lengths", length=300, names=["z (300)", "camera (2700)"]) in found.findings
     with importlib.import_module("h5py").File(tmp_path / "log.h5", "w") as file:
-        for name in ("angle", "u"):
+        for name in ("angle", "u", "operator"):
             file[name] = columns[name]
         file["time"], file["title"] = stamps.astype("S"), "swing"
     found = LoggedData(str(tmp_path / "log.h5")).recording(None)
