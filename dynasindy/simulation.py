@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import validate_call
+from pydantic import SkipValidation, validate_call
 from torch import Tensor
 
 from dynasindy.control import Controller
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-Targets = Mapping[str, float | Sequence[float]] | Sequence[float] | Sequence[Sequence[float]]
+Targets = Mapping[str, float | Sequence[float] | Array] | Sequence[float] | Sequence[Sequence[float]] | Array
 """Where outputs are to be: by name, or in their order; several for several runs."""
 
 
@@ -118,7 +118,7 @@ class Simulation:
 def simulate(
     controller: Controller,
     plant: System,
-    targets: Targets,
+    targets: SkipValidation[Targets],  # arrays of others, too
     seconds: float = 20.0,
     start: Mapping[str, float] | None = None,
     seed: int = 0,
@@ -165,8 +165,8 @@ def simulate(
 def excite(
     plant: System,
     duration: float = 10.0,
-    amplitude: float | Sequence[float] = 0.5,
-    offset: float | Sequence[float] = 0.0,
+    amplitude: float | Sequence[float] | Array = 0.5,
+    offset: float | Sequence[float] | Array = 0.0,
     dt: float = 0.01,
     noise: float | dict[str, float] = 0.0,
     sensors: Sensors | None = None,
@@ -211,10 +211,12 @@ def _rows(targets: Targets, outputs: Sequence[str]) -> list[list[float]]:
         )
     try:
         if isinstance(targets, Mapping):
-            rows = np.stack(np.broadcast_arrays(*(np.array(targets[name], float, ndmin=1) for name in outputs)), -1)
+            rows = np.stack(
+                np.broadcast_arrays(*(np.atleast_1d(np.asarray(targets[name], float)) for name in outputs)), -1
+            )
         else:
-            rows = np.array(targets, float, ndmin=2)
-    except ValueError:  # lists of different lengths
+            rows = np.atleast_2d(np.asarray(targets, float))
+    except (TypeError, ValueError):  # lists of different lengths, or no numbers
         rows = np.empty(0)
     if rows.ndim != 2 or rows.shape[1] != len(outputs) or not np.isfinite(rows).all():
         raise ValueError(

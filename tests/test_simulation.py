@@ -65,7 +65,14 @@ def test_it_plots_itself(simulation):
 
 
 def test_targets_by_name_or_in_order_and_a_start(controller):
-    ways = ({"alpha_p": 0.1, "alpha_a": 0.2}, [0.2, 0.1], [[0.2, 0.1]])
+    ways = (
+        {"alpha_p": 0.1, "alpha_a": 0.2},
+        {"alpha_p": np.array([0.1]), "alpha_a": torch.tensor(0.2, dtype=torch.float64)},
+        [0.2, 0.1],
+        [[0.2, 0.1]],
+        np.array([0.2, 0.1]),
+        torch.tensor([[0.2, 0.1]], dtype=torch.float64),
+    )
     found = [dynasindy.simulate(controller, Tras(), way, 1, {"alpha_a": 0.4}).states for way in ways]
     assert found[0][0, 0].tolist() == pytest.approx([0.4, 0, 0, 0, 0, 0])
     assert np.ptp(found, 0).max() == 0
@@ -84,6 +91,8 @@ def test_no_name_is_proposed_for_a_target_that_is_only_missing(controller):
         {"alpha_a": 0, "alpha": 1},
         [0.1],
         [[0.1, np.nan]],
+        np.array([0.1]),
+        object(),
         {"alpha_a": [0.1, 0.2], "alpha_p": [0.1, 0.2, 0.3]},
     ],
 )
@@ -110,7 +119,7 @@ def test_an_excitation_is_the_signal_held_on_the_plant(log):
 
 
 def test_an_excitation_takes_another_signal_and_sensors():
-    plain = dynasindy.excite(Pendulum(), 2.0, dt=0.05, signal=Aprbs)
+    plain = dynasindy.excite(Pendulum(), 2.0, np.array([0.5]), np.zeros(1), dt=0.05, signal=Aprbs)
     seen = dynasindy.excite(Pendulum(), 2.0, dt=0.05, signal=Aprbs, sensors=Sensors({"theta": Channel(noise=0.01)}))
     torch.testing.assert_close(plain.training.u, Aprbs(1, 2.0, amplitude=0.5).samples(0.05))
     assert seen.training.x[:, 1].isnan().all() and not plain.training.x.isnan().any()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -126,7 +126,7 @@ class Identified(LogFit):
 
 @validate_call(config={"arbitrary_types_allowed": True})
 def read(
-    path: str | Path | Sequence[str | Path],
+    path: str | Path | Iterable[str | Path],
     states: Mapping[str, Any] | Sequence[str] | None = None,
     inputs: Mapping[str, Any] | Sequence[str] | None = None,
     time: str = "time",
