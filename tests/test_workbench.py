@@ -343,8 +343,8 @@ def test_arguments_of_other_kinds_are_refused_by_their_names(call):
         call(log, model)
 
 
-def test_files_may_stand_in_any_container(tmp_path):
-    t = np.arange(200)
-    write_log(tmp_path / "log.csv", ["v [rad/s]", "u"], np.sin(0.01 * t), np.sign(np.sin(0.2 * t)))
+def test_files_may_stand_in_any_container(write_log, tmp_path):
+    t = torch.arange(400).double().unsqueeze(-1)
+    write_log(tmp_path / "log.csv", ["v [rad/s]", "u"], (0.01 * t).sin(), (0.2 * t).sin().sign())
     found = [dynasindy.read(each) for each in (tmp_path.glob("*.csv"), np.array([str(tmp_path / "log.csv")]))]
     assert len(found[0].training) == len(found[1].training) > 100

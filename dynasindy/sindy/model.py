@@ -215,9 +215,11 @@ class SindyModel(WorldModel):
         Returns:
             States, `(*batch, T + 1, n_x)`, the start first.
         """
+        batch = torch.broadcast_shapes(x0.shape[:-1], u.shape[:-2])  # many starts may have the same inputs
+        x0, u = x0.expand(*batch, -1), u.expand(*batch, -1, -1)
         x = x0.to("cpu", torch.float64).reshape(-1, x0.shape[-1])
         inputs = u.to("cpu", torch.float64).reshape(-1, *u.shape[-2:])
-        last = None if u_end is None else u_end.to(inputs).reshape(inputs.shape)
+        last = None if u_end is None else u_end.expand_as(u).to(inputs).reshape(inputs.shape)
         found = simulate(self.library, self.coefficients, x, inputs, dt, substeps, last)
         return torch.cat([x0.unsqueeze(-2), found.reshape(*u.shape[:-1], -1).to(x0)], -2)
 

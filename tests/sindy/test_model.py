@@ -491,6 +491,8 @@ def test_many_trajectories_are_those_that_each_start_has_alone(machine_code, mov
     for k in range(12):
         alone = found.simulate(x[k], u[k], 0.04, 2, None if end is None else end[k])
         torch.testing.assert_close(whole[k], alone, rtol=1e-10, atol=1e-12)
+    same = found.simulate(x, u[0], 0.04, 2, None if end is None else end[0])
+    torch.testing.assert_close(same[0], whole[0], rtol=1e-10, atol=1e-12)  # all under the inputs of the first
     if not moving:
         for t in range(5):
             ends = integrate(found, whole[:, t], u[:, t], 0.04, 2)[0][:, -1]
