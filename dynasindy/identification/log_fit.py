@@ -37,7 +37,13 @@ from dynasindy.progress import Event, TimeIsUp, listening, report_progress, repo
 from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.fit_report import FitReport
 from dynasindy.sindy.functions import QUOTIENTS
-from dynasindy.sindy.lag_states import acts_at_once, lag_state_candidates, lag_state_findings, with_lag_state
+from dynasindy.sindy.lag_states import (
+    acts_at_once,
+    has_clear_lags,
+    lag_state_candidates,
+    lag_state_findings,
+    with_lag_state,
+)
 from dynasindy.sindy.library import Constraints, Factor, Feature, Library, variable
 from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
@@ -457,8 +463,9 @@ class _Search:
                 with self._time_limit(min(self.until, time.process_time() + most)):
                     fitted[-1].fit(source.training.select(fold.fit_rows(settings.window)))
                 sought = model.constraints.free.any(0)
-                if not bool((fitted[-1].coefficients[:, sought] != 0).any(0).all()):
-                    return None  # what moves by nothing is no equation
+                moves = (fitted[-1].coefficients[:, sought] != 0).any(0)
+                if not bool(moves.all()) or not has_clear_lags(fitted[-1]):
+                    return None  # what moves by nothing is no equation, what moves nothing no state
                 errors.append(fold.errors(fitted[-1], source))
                 hopeless = bool(self.tried) and fold.score(errors[-1]) > self.best.score + 2 * HOPELESS
                 if fold.exact(errors[-1]) or hopeless:

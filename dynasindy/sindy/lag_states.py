@@ -38,6 +38,8 @@ TIMES = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768
 """Times that regressions try [samples], as far as `SLOWEST` allows: a store may be far slower than what fills it."""
 SLOWEST = 0.25
 """Longest time that is tried [lengths of the longest stretch]."""
+CLEAR = 2.0
+"""Standard errors beyond which a coefficient is no chance."""
 PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Parts of a model's delay that are tried."""
 
@@ -165,6 +167,19 @@ def _solved(wide: SindyModel, rows: Rows, time: float, lags: int) -> Tensor:
     found = wide.regression.solve(TriangularFactor(rows), *columns)[: len(wide.library)]
     found[-lags:, -lags:] = torch.eye(lags) / time
     return found
+
+
+def has_clear_lags(model: SindyModel) -> bool:
+    """Tell whether each state that follows a signal acts on another one, beyond `CLEAR` standard errors."""
+    if model.covariance is None:
+        return True
+    rows, states, _ = model.covariance
+    clear = model.coefficients[rows, states].abs() > CLEAR * model.covariance.errors
+    for name in model.followed:
+        reads = torch.tensor([name in feature.variables for feature in model.library.features])
+        if not bool((clear & reads[rows] & (states != model.signature.state_index(name))).any()):
+            return False
+    return True
 
 
 def acts_at_once(model: SindyModel, signal: str) -> bool:

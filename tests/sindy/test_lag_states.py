@@ -12,10 +12,12 @@ from dynasindy.identification.source import Source
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.lag_states import (
     TIMES,
+    has_clear_lags,
     lag_state_candidates,
     lag_state_findings,
     lag_state_ranges,
     widened,
+    with_lag_state,
 )
 from dynasindy.systems.base import Signature
 from dynasindy.systems.integrators import rk4
@@ -160,6 +162,20 @@ def test_an_input_acts_late_on_what_a_camera_sees_late_and_at_once_on_the_rest()
     assert late + at_once == pytest.approx(-4, rel=0.05)
     mean = lag_state_findings(best)[0].values["seconds"] * late / (late + at_once)
     assert mean == pytest.approx(2 * DT, rel=0.25)  # by how much it acts late in the mean
+
+
+def test_a_state_that_follows_an_input_and_tells_nothing_is_not_clear():
+    """An encoder's arm without a lag, and one whose motor lags; both are fitted with a lag beside their input."""
+    clear = []
+    for lag in (0.0, 0.15):
+        wide = with_lag_state(made(words=["1", "q", "w", "u", "sin(q)"]), "u", beside=True)
+        wide.initial, wide.initial_delay = torch.zeros(len(wide.library), 3, dtype=torch.float64), 0.0
+        wide.initial[-1, -1] = 1 / 0.2  # where the fit of the lag begins
+        wide.initial[wide.library.names.index("u_lagging"), 1] = 1.0
+        wide.refinement = replace(wide.refinement, select=False)
+        wide.fit(widened(arm(lag=lag)))
+        clear.append(has_clear_lags(wide))
+    assert clear == [False, True]
 
 
 def test_what_creeps_after_an_angle_acts_in_the_equation_of_its_rate():
