@@ -15,13 +15,18 @@ import json
 import os
 import re
 import secrets
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import wraps
+from inspect import signature
 from io import StringIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, ParamSpec, TypeVar
 
-from pydantic import ValidationError
+from pydantic import ValidationError, validate_call
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 LARGEST = 100_000_000
 """Size beyond which no file is read [bytes]; the longest log of the paper's experiment has a hundredth of it."""
@@ -70,13 +75,30 @@ def reading(source: Path | str) -> Iterator[None]:
         raise _damaged(source, " ".join(error_text(error).split())) from error
 
 
-def error_text(error: BaseException) -> str:
-    """Return what an error says; of an argument beyond the range of its annotation, which one and what is allowed."""
+def error_text(error: BaseException, names: Sequence[str] = ()) -> str:
+    """Return what an error says; of an argument that its annotation forbids, which of `names` and what is allowed."""
     if not isinstance(error, ValidationError):
         return str(error)
     first = error.errors()[0]
-    place, told = ".".join(map(str, first["loc"])), first["msg"].removeprefix("Value error, ")
-    return f"{error.title} has {place}={str(first['input'])[:40]}; {told}: correct it" if place else told
+    steps = [names[int(k)] if k in range(len(names)) else k for k in first["loc"][:1]] + [*first["loc"][1:]]
+    place, told = ".".join(map(str, steps)), first["msg"].removeprefix("Value error, ")
+    value = " ".join(str(first["input"]).split())[:40]
+    return f"{error.title} has {place}={value}; {told}: correct it" if place else told
+
+
+def checked(function: Callable[P, T]) -> Callable[P, T]:
+    """Return a function whose arguments are checked by their annotations; a wrong one costs a line."""
+    checking = validate_call(config={"arbitrary_types_allowed": True})(function)
+    names = [*signature(function).parameters]
+
+    @wraps(function)
+    def _called(*args: P.args, **keywords: P.kwargs) -> T:
+        try:
+            return checking(*args, **keywords)
+        except ValidationError as error:
+            raise ValueError(error_text(error, names)) from None
+
+    return _called
 
 
 def _damaged(source: Path | str, why: str) -> DamagedFileError:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import SkipValidation, validate_call
+from pydantic import SkipValidation
 from torch import Tensor
 
 from dynasindy.control import Controller
@@ -28,6 +28,7 @@ from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.excitation import Excitation, Multisine
 from dynasindy.identification.source import Source
+from dynasindy.safe_io import checked
 from dynasindy.sensing import Sensors
 from dynasindy.systems import System
 from dynasindy.systems.ranges import start_ranges
@@ -114,7 +115,7 @@ class Simulation:
         return picture.getvalue()
 
 
-@validate_call(config={"arbitrary_types_allowed": True})
+@checked
 def simulate(
     controller: Controller,
     plant: System,
@@ -161,7 +162,7 @@ def simulate(
     return Simulation(evaluate(env, policy, scenario, None if sensing is None else sensing.on(env, sensing.rng)))
 
 
-@validate_call(config={"arbitrary_types_allowed": True})
+@checked
 def excite(
     plant: System,
     duration: float = 10.0,

@@ -32,7 +32,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from pydantic import validate_call
 
 from dynasindy.agents import Actor
 from dynasindy.control import Controller
@@ -68,6 +67,7 @@ from dynasindy.identification.verdict import (
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.plan_settings import LONGEST, find_task_equilibria, unheld
 from dynasindy.progress import reporting_as, say, width
+from dynasindy.safe_io import checked
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sensing.offset import acting
 from dynasindy.sentences import line, lines
@@ -87,7 +87,7 @@ HALVES = 2
 """Stretches of a log that a model is fitted to again, to see what the log leaves open."""
 
 
-@validate_call(config={"arbitrary_types_allowed": True})
+@checked
 def plan(
     model: SindyModel,
     task: Tracking | Mapping[str, tuple[float, float]],
@@ -184,7 +184,7 @@ def _refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> 
     return found
 
 
-@validate_call(config={"arbitrary_types_allowed": True})
+@checked
 def forecast(
     controller: Controller,
     model: SindyModel,

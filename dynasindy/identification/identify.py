@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import pandas as pd
 import torch
-from pydantic import validate_call
 from torch import Tensor
 
 from dynasindy.data.columns import Column
@@ -25,7 +24,7 @@ from dynasindy.identification.log_fit import LogFit, fit_log
 from dynasindy.identification.recording_diagnostics import low_signal_findings, low_signal_states
 from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source, rates_of
 from dynasindy.progress import report_progress
-from dynasindy.safe_io import write_json, write_text
+from dynasindy.safe_io import checked, write_json, write_text
 from dynasindy.sentences import error_of, line, lines, verdict_lines
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.covariance import Covariance
@@ -124,7 +123,7 @@ class Identified(LogFit):
         return set(rate_states(self.model.library, self.model.constraints))
 
 
-@validate_call(config={"arbitrary_types_allowed": True})
+@checked
 def read(
     path: str | Path | Iterable[str | Path],
     states: Mapping[str, Any] | Sequence[str] | None = None,
@@ -156,7 +155,7 @@ def read(
     return Source.of(LoggedData(files, states, inputs, time, dt).recording(), validation_share)
 
 
-@validate_call(config={"arbitrary_types_allowed": True})
+@checked
 def identify(
     log: Source,
     library: str | Sequence[str] | LibraryBuilder = "auto_rig",

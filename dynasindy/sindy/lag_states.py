@@ -91,7 +91,8 @@ def lag_state_candidates(model: SindyModel, data: Transitions) -> list[SindyMode
     inputs = [name for name in model.signature.input_names if name not in model.followed.values()]
     alone_or_all = dict.fromkeys([*((name,) for name in (*inputs, *names)), *([tuple(inputs)] if inputs else ())])
     trials = [(signals, reduce(with_lag_state, signals, model)) for signals in alone_or_all]
-    trials += [((name,), with_lag_state(model, name, beside=True)) for name in inputs]
+    if len({_moved(model, model.signature.state_index(name))[0] for name in names}) > 1:  # parts of a plant
+        trials += [((name,), with_lag_state(model, name, beside=True)) for name in inputs]
     reached = dict[tuple[str, ...], float]()  # what an input gains beside its lag counts, not what the lag does
     for signals, wide in trials:
         lags, more = len(signals), int(wide.constraints.free.sum() - model.constraints.free.sum())

@@ -193,7 +193,7 @@ def test_a_second_heat_store_is_found_from_the_temperature_of_the_first():
     """With a = (W - 8) / 0.6 the wall's W' = (T - W) / 600 + (20 - W) / 900 is a' = (T - a) / 360, and T' as below."""
     data = oven()
     model = of_oven(data)
-    best = next(each for each in lag_state_candidates(model, data) if "T_lagging" in each.followed)
+    best = lag_state_candidates(model, data)[0]
     assert best.followed == {"T_lagging": "T"} and best.followers == {1: 0}
     assert best.signature.state_units == ("degC", "degC") and best.signature.x_scale == (120.0, 120.0)
     best.fit(widened(data))
