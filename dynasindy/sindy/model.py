@@ -49,7 +49,7 @@ from dynasindy.sindy.shooting import CHOSEN_STRETCHES, COARSE, RunsAway, relativ
 from dynasindy.sindy.trajectory_fit import selection_rows
 from dynasindy.sindy.world_model import WorldModel
 from dynasindy.systems.base import PRECISIONS, Diverged, Signature
-from dynasindy.systems.integrators import moved
+from dynasindy.systems.integrators import moved, plain, trajectory
 from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import UNTOLD
 from dynasindy.systems.transitions import Transitions
@@ -203,7 +203,7 @@ class SindyModel(WorldModel):
 
     @torch.no_grad()
     def simulate(self, x0: Tensor, u: Tensor, dt: float, substeps: int = 1, u_end: Tensor | None = None) -> Tensor:
-        """Predict trajectories open loop; no derivatives are computed.
+        """Predict trajectories open loop.
 
         Args:
             x0: start states, `(*batch, n_x)`.
@@ -217,11 +217,22 @@ class SindyModel(WorldModel):
         """
         batch = torch.broadcast_shapes(x0.shape[:-1], u.shape[:-2])  # many starts may have the same inputs
         x0, u = x0.expand(*batch, -1), u.expand(*batch, -1, -1)
-        x = x0.to("cpu", torch.float64).reshape(-1, x0.shape[-1])
-        inputs = u.to("cpu", torch.float64).reshape(-1, *u.shape[-2:])
-        last = None if u_end is None else u_end.expand_as(u).to(inputs).reshape(inputs.shape)
-        found = simulate(self.library, self.coefficients, x, inputs, dt, substeps, last)
-        return torch.cat([x0.unsqueeze(-2), found.reshape(*u.shape[:-1], -1).to(x0)], -2)
+        last = None if u_end is None else u_end.expand_as(u)
+        if self._by_instructions(x0, u):
+            flat = x0.reshape(-1, x0.shape[-1]), u.reshape(-1, *u.shape[-2:])
+            ends = None if last is None else last.reshape(flat[1].shape)
+            found = simulate(self.library, self.coefficients, *flat, dt, substeps, ends)
+            return torch.cat([x0.unsqueeze(-2), found.reshape(*u.shape[:-1], -1)], -2)
+        ends = None if last is None else last.movedim(-2, 0)
+        states = torch.cat([x0.unsqueeze(0), trajectory(self, x0, u.movedim(-2, 0), dt, substeps, ends)])
+        return states.movedim(0, -2)
+
+    def _by_instructions(self, x: Tensor, u: Tensor) -> bool:
+        """Tell whether trajectories are computed by instructions, for which nothing is compiled."""
+        if not self.machine_code or type(self).forward is not SindyModel.forward or self._forward_hooks:
+            return False
+        double = x.dtype == u.dtype == torch.float64 and x.device.type == u.device.type == "cpu"
+        return double and plain(x, u, self.coefficients)
 
     @property
     def followed(self) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import math
 import types
 from typing import Any
 
@@ -497,3 +498,22 @@ def test_many_trajectories_are_those_that_each_start_has_alone(machine_code, mov
         for t in range(5):
             ends = integrate(found, whole[:, t], u[:, t], 0.04, 2)[0][:, -1]
             torch.testing.assert_close(whole[:, t + 1], ends, rtol=1e-10, atol=1e-12)
+
+
+def test_trajectories_of_a_model_have_derivatives_and_are_those_of_its_own_rates():
+    """x' = -2 x from x0 is x0 exp(-2 t), whose derivative by x0 is exp(-2 t); twice the rates, x0 exp(-4 t)."""
+
+    class Faster(SindyModel):
+        def forward(self, x, u):
+            return 2 * super().forward(x, u)
+
+    signature, u = Signature(("x",), ("-",), ("u",), (1.0,)), torch.zeros(10, 1, dtype=torch.float64)
+    x0 = torch.tensor([1.5], dtype=torch.float64, requires_grad=True)
+    for kind, rate in ((SindyModel, 2.0), (Faster, 4.0)):
+        model = kind(signature, ["x"])
+        model.set_coefficients(torch.tensor([[-2.0]], dtype=torch.float64))
+        end = model.simulate(x0, u, 0.1, 4)[-1]
+        assert end.item() == pytest.approx(1.5 * math.exp(-rate), rel=1e-5)
+        assert torch.autograd.grad(end.sum(), x0)[0].item() == pytest.approx(math.exp(-rate), rel=1e-5)
+    with torch.no_grad():
+        assert model.simulate(x0, u, 0.1, 4)[-1].item() == pytest.approx(1.5 * math.exp(-4.0), rel=1e-5)
