@@ -201,7 +201,6 @@ class SindyModel(WorldModel):
         x, u = (t.movedim(-1, 0).contiguous().movedim(0, -1) for t in (x, u))
         return moved(self, x, u, dt, substeps)
 
-    @torch.no_grad()
     def simulate(self, x0: Tensor, u: Tensor, dt: float, substeps: int = 1, u_end: Tensor | None = None) -> Tensor:
         """Predict trajectories open loop.
 
