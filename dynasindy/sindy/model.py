@@ -22,6 +22,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -214,7 +215,7 @@ class SindyModel(WorldModel):
         Returns:
             States, `(*batch, T + 1, n_x)`, the start first.
         """
-        batch = torch.broadcast_shapes(x0.shape[:-1], u.shape[:-2])  # many starts may have the same inputs
+        batch = np.broadcast_shapes(x0.shape[:-1], u.shape[:-2])  # by torch it would cost an import of sympy
         x0, u = x0.expand(*batch, -1), u.expand(*batch, -1, -1)
         last = None if u_end is None else u_end.expand_as(u)
         if self._by_instructions(x0, u):
