@@ -567,7 +567,9 @@ class _Search:
         for _ in range(of.source.signature.n_u):
             last = best
             with _attempt():
-                trials = lag_state_candidates(best.model, best.source.training.select(self.folds[0].early))
+                # Of linear equations alone, what acts at once beside a lag stands for functions that they lack.
+                early = best.source.training.select(self.folds[0].early)
+                trials = lag_state_candidates(best.model, early, beside=of.structure is None)
                 for lagging in trials[:LAG_STATES]:
                     if time.process_time() - began > SHARE * self.refinement.seconds:
                         return best

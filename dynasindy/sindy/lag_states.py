@@ -55,7 +55,7 @@ def lag_state_findings(model: SindyModel) -> list[Finding]:
     return found
 
 
-def lag_state_candidates(model: SindyModel, data: Transitions) -> list[SindyModel]:
+def lag_state_candidates(model: SindyModel, data: Transitions, beside: bool = True) -> list[SindyModel]:
     """Return models with a state that follows an input or a measured state, those first that regressions prefer.
 
     Actuators are often alike, and hardly tell their lag one by one: states that follow all inputs with one time are
@@ -68,6 +68,7 @@ def lag_state_candidates(model: SindyModel, data: Transitions) -> list[SindyMode
     Args:
         model: what was fitted to the recording.
         data: the recording, NaN where a state was not measured.
+        beside: whether an input may act at once, too.
     """
     rates = rate_states(model.library, model.constraints)
     known = set(rates.values())
@@ -91,7 +92,7 @@ def lag_state_candidates(model: SindyModel, data: Transitions) -> list[SindyMode
     inputs = [name for name in model.signature.input_names if name not in model.followed.values()]
     alone_or_all = dict.fromkeys([*((name,) for name in (*inputs, *names)), *([tuple(inputs)] if inputs else ())])
     trials = [(signals, reduce(with_lag_state, signals, model)) for signals in alone_or_all]
-    if len({_moved(model, model.signature.state_index(name))[0] for name in names}) > 1:  # parts of a plant
+    if beside and len({_moved(model, model.signature.state_index(name))[0] for name in names}) > 1:  # parts of a plant
         trials += [((name,), with_lag_state(model, name, beside=True)) for name in inputs]
     reached = dict[tuple[str, ...], float]()  # what an input gains beside its lag counts, not what the lag does
     for signals, wide in trials:
