@@ -314,9 +314,8 @@ def _seconds(text: pd.Series) -> Array:
 
 
 def _since_1970(times: pd.Series) -> Array:
-    since = (
-        times if times.dtype.kind == "m" else times - pd.Timestamp(0, tz="UTC").as_unit("s")
-    )  # also of years that ns do not reach
+    # In seconds, as nanoseconds do not reach all years.
+    since = times if times.dtype.kind == "m" else times - pd.Timestamp(0, tz="UTC").as_unit("s")
     return np.asarray((since / pd.Timedelta(seconds=1)).to_numpy(dtype=np.float64, na_value=np.nan))
 
 

@@ -227,7 +227,7 @@ class HoldOut:
         deviation = variance(data.x_next).sqrt()
         spread = (data.x_next - data.x_next.nanmean(0)).abs().nan_to_num().amax(0)
         floor = torch.maximum(resolution, EXACT * spread)
-        steps = _horizons(last, SOONEST * slow / data.dt)
+        steps = _horizon_samples(last, SOONEST * slow / data.dt)
         if linear:
             # How far ahead an unstable plant can be predicted, the linear model tells that is the best one at first: in
             # closed loop those that are better far ahead are stable, as the plant is not.
@@ -237,7 +237,7 @@ class HoldOut:
             known = int((best < math.log(FORGOTTEN)).long().cumprod(0).sum())
             if known < len(steps):
                 last = steps[max(1, known - 1)]
-                steps = _horizons(last, SOONEST / SLOWEST * last)
+                steps = _horizon_samples(last, SOONEST / SLOWEST * last)
         errors = torch.stack([errors_over(guess, real, steps) for guess in [*linear, held]])
         later, real = later[:, : steps[-1]], real[:, : steps[-1]]
         return cls(early, kept, steps, starts, later, real, before, errors, floor)
@@ -418,12 +418,13 @@ class _Search:
             names = source.signature.state_names
             if (not near or names in near) and better.get(names, model) is model:
                 self._regressed(model, source)
-        wider = self.builder is not None and bool(self.tried)
-        if wider:
+        has_new_state = False
+        if self.builder is not None and self.tried:
             self._with_larger_library()
-            wider = self._with_lag_states(before := self.best) is not before
+            before = self.best
+            has_new_state = self._with_lag_states(before) is not before
         self._lengthen()
-        if wider:  # functions of the new state
+        if has_new_state:
             before = self.best
             self._with_larger_library()
             if self.best is not before:
@@ -720,7 +721,7 @@ class _Search:
         return [weak("fit.behind", state=name, seconds=seconds, factor=float(behind[k, i]))]
 
 
-def _horizons(last: int, first: float) -> list[int]:
+def _horizon_samples(last: int, first: float) -> list[int]:
     """Return horizons up to the last one [samples]."""
     return sorted({round(k) for k in np.geomspace(min(max(1, round(first)), last), last, HORIZONS).tolist()})
 

@@ -15,7 +15,7 @@ T is found by regressions on signals that were led through such a lag, then with
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 
@@ -90,31 +90,35 @@ def lag_state_candidates(model: SindyModel, data: Transitions, beside: bool = Tr
     plain = _unexplained(model, alone.rows(model.library, model.library))
     names = [name for i, name in enumerate(model.signature.state_names) if bool(measured[i] & _moved(model, i)[1])]
     inputs = [name for name in model.signature.input_names if name not in model.followed.values()]
-    alone_or_all = dict.fromkeys([*((name,) for name in (*inputs, *names)), *([tuple(inputs)] if inputs else ())])
-    trials = [(signals, reduce(with_lag_state, signals, model)) for signals in alone_or_all]
+    each_or_all = [(name,) for name in (*inputs, *names)] + [tuple(inputs)] * (len(inputs) > 1)
+    trials = [(signals, reduce(with_lag_state, signals, model)) for signals in each_or_all]
     if beside and len({_moved(model, model.signature.state_index(name))[0] for name in names}) > 1:  # parts of a plant
         trials += [((name,), with_lag_state(model, name, beside=True)) for name in inputs]
     reached = dict[tuple[str, ...], float]()  # what an input gains beside its lag counts, not what the lag does
-    for signals, wide in trials:
+    for signals, wide in trials if times else ():
         lags, more = len(signals), int(wide.constraints.free.sum() - model.constraints.free.sum())
-        rows, costs = dict[tuple[float, float], Rows](), dict[tuple[float, float], float]()
-        best, near = (0.0, 0.0), times[::2]
-        for _ in range(2):  # every other time, and then those beside the best one
-            tried = {(delay, time): _led(each, wide, signals, time) for delay, each in late.items() for time in near}
-            rows, costs = rows | tried, costs | {key: _unexplained(wide, each, lags) for key, each in tried.items()}
-            best = min(costs, key=costs.__getitem__, default=best)
-            near = [time for time in times[1::2] if best[1] / 2 < time < 2 * best[1]]
-        if not costs:
-            continue
-        delay, time = best
-        count = len(rows[best][0])
+        cost, rows, delay, time = _best_lag(wide, signals, late, times)
         # The time, and each coefficient, is a number more; what hardly lags stands for a rate, which explains itself.
-        gain = min(plain, reached.get(signals, plain)) - costs[best] - more / 2 * math.log(count)
-        reached[signals] = costs[best]
+        gain = min(plain, reached.get(signals, plain)) - cost - more / 2 * math.log(len(rows[0]))
+        reached[signals] = cost
         if gain > 0 and (signals[0] in inputs or time > times[0]):
-            wide.initial, wide.initial_delay = _solved(wide, rows[best], time, lags), delay
-            found.append((gain / count, wide))
+            wide.initial, wide.initial_delay = _solved(wide, rows, time, lags), delay
+            found.append((gain / len(rows[0]), wide))
     return [wide for _, wide in sorted(found, key=lambda each: -each[0])]
+
+
+def _best_lag(
+    wide: SindyModel, signals: Sequence[str], late: Mapping[float, RegressionData], times: Sequence[float]
+) -> tuple[float, Rows, float, float]:
+    """Return what the best delay and time of lags leave over, its rows, and both: of every other time, then beside."""
+    rows, costs = dict[tuple[float, float], Rows](), dict[tuple[float, float], float]()
+    near = times[::2]
+    for _ in range(2):
+        tried = {(delay, time): _led(each, wide, signals, time) for delay, each in late.items() for time in near}
+        rows, costs = rows | tried, costs | {key: _unexplained(wide, each, len(signals)) for key, each in tried.items()}
+        best = min(costs, key=costs.__getitem__)
+        near = [time for time in times[1::2] if best[1] / 2 < time < 2 * best[1]]
+    return costs[best], rows[best], *best
 
 
 def _moved(model: SindyModel, i: int) -> tuple[int, bool]:
