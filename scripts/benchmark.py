@@ -18,8 +18,7 @@ BENCHMARKS = ("gradient", "identify", "logs", "peers", "plants", "rigs")
 def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
     """Return what a command line gives a benchmark; a mistake or `--help` ends the program."""
     module = importlib.import_module(f"benchmarks.{name}")
-    described = (module.__doc__ or "").partition("\n\n")[0]
-    parser = argparse.ArgumentParser(prog=f"{program('benchmark')} {name}", description=described)
+    parser = argparse.ArgumentParser(f"{program('benchmark')} {name}", description=module.__doc__.partition("\n\n")[0])
     module.add_options(parser)
     return parser.parse_args(argv)
 

@@ -44,18 +44,17 @@ def main(cfg: Any) -> None:
 def _range_and_start(cfg: Any, run: Path) -> dict[str, Any]:
     """Return the ends of the target range, as given or as the run has them, and where its episodes begin and end."""
     from omegaconf import OmegaConf
-    from trust import read_config
+    from settings import read_config
 
     from dynasindy.safe_io import reading
 
     file = (run if run.is_dir() else run.parent) / "config.yaml"
     with reading(file):
+        own: Any = OmegaConf.to_container(cfg)
         settings: Any = OmegaConf.to_container(read_config(file)) if file.is_file() else {}
         plant, task = settings.get("plant") or {}, settings.get("task") or {}
-        found: dict[str, Any] = {s: tuple(map(float, cfg[s] or plant.get(s) or ())) for s in ("low", "high")}
-        for key in ("start", "bounds"):
-            states = task.get(key) or plant.get(key) or {}
-            found[key] = {n: float(end) if isinstance(end, int | float) else list(end) for n, end in states.items()}
+        found = {key: own[key] or plant.get(key) for key in ("low", "high")}
+        found |= {key: task.get(key) or plant.get(key) or {} for key in ("start", "bounds")}
     if not (found["low"] and found["high"]):
         raise ValueError(f"{file} holds no plant.low and plant.high; give low=[...] and high=[...] of the targets")
     return found

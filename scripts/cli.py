@@ -1,4 +1,4 @@
-"""The commands of `dynasindy`: which there are, what `--help` says of them, and how their processes end.
+"""The commands of `dynasindy`: which there are, their help, how their processes end, and which of them comes next.
 
 It imports no library that takes long, so that help comes at once, and a signal that comes early is one line, too.
 """
@@ -9,14 +9,14 @@ import argparse
 import ast
 import os
 import re
+import shlex
 import signal
 import sys
 import textwrap
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache, wraps
+from functools import wraps
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
@@ -32,20 +32,22 @@ IN_CLONE = (SCRIPTS.parent / "pyproject.toml").is_file()
 HELP = ("-h", "--help")
 WIDTH = 100
 """Columns of the help that are not those of a file."""
+OF_RUN = {
+    "evaluate": "flies it to steps, along sines and along squares, and draws that",
+    "check": "tells its margins and worst cases, on the model",
+    "export": "writes the controller as C, for a microcontroller",
+}
+"""What a command shows or makes of a run."""
+SMOKE = ("experiment=smoke", "experiment=gradient_smoke")
+"""What tries every part of a training once, and learns too little."""
+IDENTIFYING = ("system", "data", "plant", "world_model", "refinement", "source", "longest_delay", "threads")
+"""Words of `train` that say how a log is identified; `identify` has them too."""
 
 
 def exit_now(number: int, frame: FrameType | None) -> None:
     """End at once: nothing was begun, or everything is done."""
     os.write(2, b"stopped\n")
     os._exit(128 + number)
-
-
-def stop(number: int, frame: FrameType | None) -> None:
-    """Leave what is under way; a second signal leaves at once."""
-    from dynasindy.dyna import Stopped
-
-    handle_signals(exit_now)
-    raise Stopped("stopped", number)
 
 
 def handle_signals(handler: Callable[[int, FrameType | None], None]) -> None:
@@ -58,46 +60,21 @@ def handle_signals(handler: Callable[[int, FrameType | None], None]) -> None:
 handle_signals(exit_now)  # the imports of a script take seconds, in which a traceback would be all that a user sees
 
 
-@cache
-def end_with_parent() -> None:
-    """End this process, a worker of a sweep, when its parent is gone, so that it races no later sweep.
-
-    At once, since its launcher would catch an exception and go on with the next job; what is kept survives that.
-    """
-    parent = os.getppid()
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
-        os._exit(128 + signal.SIGTERM)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
 @contextmanager
 def pipe_guard() -> Iterator[None]:
-    """End with the exit code of a broken pipe, 141, when whoever reads stdout has left; other errors stay theirs."""
-    end: SystemExit | BrokenPipeError | None = None
+    """End with the exit code of a broken pipe, 141, when whoever reads stdout has left."""
     try:
         yield
-    except (SystemExit, BrokenPipeError) as error:
-        end = error
-    try:
-        print(end="\n" * isinstance(end, BrokenPipeError), flush=True)  # what broke may be another pipe
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what the interpreter flushes at its end
-        sys.exit(141)
-    if end is not None:
-        raise end
+    finally:
+        try:
+            print(end="\n" * isinstance(sys.exception(), BrokenPipeError), flush=True)  # what broke may be another pipe
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # which the interpreter flushes at its end
+            sys.exit(141)
 
 
-def command(config_name: str, progress: bool = True) -> Callable[[Callable[[Any], None]], Callable[[], None]]:
-    """Make a function of a config a command, which is composed by Hydra; see `command.run`.
-
-    Args:
-        config_name: File `conf/NAME.yaml`.
-        progress: Whether what is under way is shown; a thread that draws would disturb one that keeps a clock.
-    """
+def command(config_name: str) -> Callable[[Callable[[Any], None]], Callable[[], None]]:
+    """Make a function of a config, `conf/NAME.yaml`, a command, which is composed by Hydra; see `command.run`."""
 
     def decorate(task: Callable[[Any], None]) -> Callable[[], None]:
         @wraps(task)
@@ -108,7 +85,7 @@ def command(config_name: str, progress: bool = True) -> Callable[[Callable[[Any]
                 else:
                     from command import run
 
-                    run(config_name, task, progress)
+                    run(config_name, task)
 
         return start
 
@@ -135,9 +112,10 @@ def main() -> None:
 
         print(dynasindy.__version__)
     else:
-        from dynasindy.text import did_you_mean
+        from command import one_line, unknown_name
 
-        refuse(f"'{name}' is no command; there are {', '.join(COMMANDS)}{did_you_mean(name, COMMANDS)}")
+        with one_line():
+            raise ValueError(unknown_name(name, COMMANDS, "dynasindy"))
 
 
 def require_writable(folder: Path) -> None:
@@ -145,14 +123,6 @@ def require_writable(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with TemporaryFile(dir=folder):  # permissions alone do not tell
         pass
-
-
-def refuse(line: str) -> None:
-    """End with a line and the exit code of a bad setting."""
-    from dynasindy.progress import fit_stderr
-
-    print(fit_stderr(f"error: {line}"), file=sys.stderr)
-    sys.exit(2)
 
 
 def program(name: str) -> str:
@@ -226,3 +196,53 @@ def heading(file: Path) -> str:
     """Return the sentences at the top of a file."""
     lines = takewhile(lambda line: line.startswith("#"), file.read_text().splitlines())
     return " ".join(line.strip("# ") for line in lines if not line.startswith("# @package"))
+
+
+def command_line(name: str, words: Sequence[str], comment: str = "") -> str:
+    """Return a command as a shell takes it, with the folder of the user's own settings, and what comes of it."""
+    folder = config_dir()
+    own = ["--config-dir", folder] if folder else []
+    line = " ".join([program(name), *map(shlex.quote, [*own, *words])])
+    return f"{line}  # {comment}" if comment else line
+
+
+def next_steps(*lines: str) -> str:
+    """Return commands under their heading; nothing where there are none."""
+    return "\n  ".join(["next:", *lines]) if lines else ""
+
+
+def run_steps(folder: object, *names: str, plugins: Sequence[str] = ()) -> list[str]:
+    """Return the commands that go on with a run, each with what comes of it; `plugins` are words for all of them."""
+    return [command_line(name, [f"run={folder}", *plugins], OF_RUN[name]) for name in names]
+
+
+def improvements(
+    run: object, words: Sequence[str], episodes: int | None = None, checked: bool = True, imagined: float | None = None
+) -> str:
+    """Return what helps where the plant is not controlled: where the loop is weak, and more or better data.
+
+    A plan from a log has no real `episodes`; `imagined` is the error at the end of imagined ones [target ranges].
+    """
+    from dynasindy.evaluation.tracking_criteria import WITHIN  # with TorchRL, which `identify` does without
+
+    lines = []
+    if checked:
+        lines.append(command_line("check", [f"run={run}"], "tells at which targets the loop is weak, and how"))
+    if episodes is not None and not any(word.startswith("resume=") for word in words):
+        key, value, does = "train.episodes", max(3, 2 * episodes), "flies more episodes, whose data mend the model"
+        if imagined is not None and imagined > WITHIN:  # where the model is not what fails
+            key, value = "planning.updates", 3000
+            does = f"plans longer: in the model, too, targets are missed by {100 * imagined:.2g} %"
+        kept = without([word for word in words if word not in SMOKE], key, "folder", "finish")
+        lines.append(command_line("train", [*kept, f"{key}={value}"], does))
+    if episodes is None and any(word.startswith("data.path=") for word in words):
+        others = without(words, *IDENTIFYING)
+        lacks = "tells what the log lacks: what to record, or which functions"
+        lines.append(command_line("identify", [word for word in words if word not in others], lacks))
+    return next_steps(*lines)
+
+
+def without(words: Sequence[str], *keys: str) -> list[str]:
+    """Return the words that give no such key, nor one of such a group."""
+    given = {word: word.lstrip("+~").partition("=")[0] for word in words}
+    return [word for word, key in given.items() if key not in keys and re.split(r"[./]", key)[0] not in keys]

@@ -1,25 +1,33 @@
-"""A command as Hydra composes it: its settings are checked, and a user's mistake, or a signal, is one line.
+"""A command as Hydra composes it: its words and settings are checked; a user's mistake, or a signal, is one line.
 
 Of a sweep, mistakes are found before its first job, and what came of the jobs is said at its end.
 """
 
 import gc
+import hashlib
 import os
 import re
 import shutil
+import signal
 import sys
+import threading
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterator
+from argparse import SUPPRESS, Namespace
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from functools import cache
 from importlib.metadata import requires
 from pathlib import Path
-from typing import ClassVar
+from types import FrameType
+from typing import Any, ClassVar
 
 import hydra
 import yaml
-from cli import CONF, SCRIPTS, end_with_parent, exit_now, handle_signals, pipe_guard, program, require_writable, stop
+from cli import CONF, config_dir, exit_now, group_options, handle_signals, pipe_guard, program, require_writable
+from hydra._internal.utils import get_args_parser
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
@@ -28,15 +36,15 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
-from words import read_words, taken_from, unknown_name
 
 import dynasindy
 from dynasindy.limits import is_memory_error, memory_wanted
 from dynasindy.progress import LOADING, Progress, fit_stderr, report_progress, say
 from dynasindy.safe_io import LinkError, error_text, write_text
 from dynasindy.sentences import use_command_words
+from dynasindy.text import did_you_mean
 
-PACKAGE = Path(dynasindy.__file__).parent
+SCRIPTS, PACKAGE = Path(__file__).parent, Path(dynasindy.__file__).parent
 OTHERS = re.compile(r"^<|[/\\](site-packages|dist-packages|lib[/\\]python3[^/\\]*)[/\\]")
 """Where the code of libraries lies."""
 MENDABLE = (
@@ -47,6 +55,7 @@ PROGRESS = ExitStack()
 """What shows the work of the command."""
 ONE_TASK = {"seed", "setting", "agent", "planning", "evaluation", "scenario", "train", "replay", "gate", "threads"}
 """Groups and settings in which jobs of a sweep may differ that have one task, and read a log in one way."""
+PARSER = OverridesParser.create()
 
 
 class Sweep(Callback):
@@ -75,7 +84,7 @@ def _check_sweep(config: DictConfig) -> None:
 
     if config.hydra.launcher._target_.endswith(".SlurmLauncher") and shutil.which("srun") is None:
         raise ValueError("there is no srun here; choose hydra/launcher=joblib, or submitit_local")
-    given = OverridesParser.create().parse_overrides(config.hydra.overrides.task)
+    given = PARSER.parse_overrides(config.hydra.overrides.task)
     swept = [*(config.hydra.sweeper.get("params") or {}), *(o.key_or_group for o in given if o.is_sweep_override())]
     shared = {name.partition(".")[0] for name in swept} <= ONE_TASK and config.get("resume") is None
     with open_dict(config):
@@ -83,7 +92,7 @@ def _check_sweep(config: DictConfig) -> None:
         del config.hydra
     check(config)
     if shared and (config.get("data") is not None or config.get("model") is not None):
-        from logged import prepare
+        from saved_run import prepare
 
         prepare(config)
     elif shared and None not in map(config.get, ("system", "task")):
@@ -100,25 +109,25 @@ def end_sweep(config: DictConfig, began: float) -> None:
     """Say where the results of a sweep are, and which jobs failed; an ablation has its tables and figures, too."""
     folder = Path(config.hydra.sweep.dir)
     print(f"Sweep: {folder}")
-    if any(folder.rglob("metrics.json")) and config.hydra.job.get("config_name") == "train":
-        say(f"next:\n  {program('table')} {folder}  # the table of its jobs")
     try:
-        if "level" in config:
+        if not any(folder.rglob("metrics.json")):
+            print(f"No run in {folder} has finished, so there is no table.")
+        elif "level" in config:
             from dynasindy.evaluation.ablation import gather
             from dynasindy.viz.learning import draw_ablation
 
             results, level = Path(config.results), instantiate(config.level)
-            if gather(folder, results, level).empty:
-                print(f"No run in {folder} has finished, so there are no tables and figures.")
-            else:
-                draw_ablation(results, level)
-                say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
+            gather(folder, results, level)
+            draw_ablation(results, level)
+            say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
+        else:
+            say(f"next:\n  {program('table')} {folder}  # the table of its jobs")
     finally:  # jobs that failed may be why there are no tables
         if reasons := sorted(str(file) for file in folder.rglob("*error.txt") if file.stat().st_mtime >= began):
             raise ValueError(f"{len(reasons)} jobs failed; the reasons are in {', '.join(reasons)}")
 
 
-def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = True) -> None:
+def run(config_name: str, task: Callable[[DictConfig], None]) -> None:
     """Run a command: a bad setting or file costs one line and exit code 2.
 
     A run folder without files is removed; one with files keeps them, and the line, as `error.txt`. A finished run stays
@@ -127,11 +136,11 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
     """
 
     def job(cfg: DictConfig) -> None:
-        if Sweep.here and progress:
-            show()
-        elif not Sweep.here:
+        if not Sweep.here:
             end_with_parent()
             handle_signals(stop)
+        elif config_name != "rig":  # whose clock a thread that draws would disturb
+            show()
         use_command_words()
         output, swept = _output()
         with suppress(SystemExit) if swept else nullcontext(), pipe_guard(), one_line(cfg):
@@ -181,6 +190,30 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
         sys.exit(128 + getattr(end, "signal", 2))
     handle_signals(exit_now)
     gc.freeze()  # else the interpreter looks for a second whether anything that torch made is garbage
+
+
+def stop(number: int, frame: FrameType | None) -> None:
+    """Leave what is under way; a second signal leaves at once."""
+    from dynasindy.dyna import Stopped
+
+    handle_signals(exit_now)
+    raise Stopped("stopped", number)
+
+
+@cache
+def end_with_parent() -> None:
+    """End this process, a worker of a sweep, when its parent is gone, so that it races no later sweep.
+
+    At once, since its launcher would catch an exception and go on with the next job; what is kept survives that.
+    """
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(128 + signal.SIGTERM)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _output() -> tuple[Path, bool]:
@@ -272,9 +305,7 @@ def in_words(error: BaseException, settings: object = None) -> str:
     text = re.sub(r'^\[Errno -?\d+\] |(?<=in )"|"(?=, line )', "", text)  # in "my.yaml", line 2
     torch = sys.modules.get("torch")
     if hasattr(torch, "get_default_dtype") and (kind := torch.get_default_dtype()) != torch.float32:
-        return (
-            f"a part of yours called torch.set_default_dtype({kind}), which all others use; leave it out of the plant"
-        )
+        return f"a part of yours called torch.set_default_dtype({kind}), which all others use; leave it out"
     if place := of_user(error):
         return place
     if is_memory_error(error):
@@ -301,3 +332,174 @@ def in_words(error: BaseException, settings: object = None) -> str:
     if deleted := next((word for word in sys.argv[1:] if word.startswith("~")), ""):
         return f"{deleted} takes away what the command reads ({text}); leave it out, or give the key another value"
     return re.sub(r"\b[a-z_]+(?:\.[a-z_]+)+\b", lambda key: taken_from(key[0], settings) or key[0], text)
+
+
+def read_words(config_name: str, words: list[str]) -> list[str]:
+    """Return the settings of a command line and then its options, which Hydra reads in this order only.
+
+    A value that Hydra cannot read is text, `run=latest` is a folder, and a setting of a plant that no file gives is
+    added to those that one does.
+    """
+    settings = [as_text(resolve_latest(word)) for word in words if word[:1] != "-" and re.search("=|^~", word)]
+    options = [word for word in words if word[:1] == "-" or not re.search("=|^~", word)]
+    parser = get_args_parser()
+    parser.usage = SUPPRESS  # all options that there are
+    given, strange = parser.parse_known_args([*settings, *options])
+    if strange:
+        raise ValueError(f"{strange[0]} is no option; settings are written key=value, and --hydra-help lists options")
+    if not given.config_path:
+        settings = require_keys(given.config_name or config_name, settings)
+    return [*settings, *implied(settings, given), *options]
+
+
+def resolve_latest(word: str) -> str:
+    """Return a word of a command line: `run=latest` is the newest run of runs/, `run=latest~1` the one before it."""
+    asked = re.fullmatch(r"(run|resume)=latest(?:~(\d+))?", word)
+    if asked is None:
+        return word
+    files = sorted(Path("runs").glob("**/config.yaml"), key=lambda file: file.stat().st_mtime, reverse=True)
+    place = int(asked[2] or 0)
+    if place >= len(files):
+        raise ValueError(f"{word} is none of the {len(files)} runs in runs/ of this folder; give {asked[1]}=FOLDER")
+    print(f"{asked[1]}={files[place].parent}", flush=True)
+    return f"{asked[1]}={_quoted(files[place].parent)}"
+
+
+def as_text(word: str) -> str:
+    """Return a word of a command line as Hydra reads it: a value or an item of a list that it cannot read is text.
+
+    The shell takes away the quotation marks of `data.time="Time [ms]"`, and a bracket within a value is none that Hydra
+    knows. A bracket that is not closed is left as it is, to be refused.
+    """
+    key, _, value = word.partition("=")
+    if not value or _parses(word):
+        return word
+    made = word if value[0] in "[{('\"" else f"{key}={_quoted(value)}"
+    if value[0] == "[" and value[-1] == "]":
+        items = [item.strip() for item in re.split(r",(?![^\[({]*[\])}])", value[1:-1])]
+        made = f"{key}=[{','.join(item if _parses(f'{key}={item}') else _quoted(item) for item in items)}]"
+    return made if _parses(made) else word
+
+
+def _parses(word: str) -> bool:
+    """Tell whether Hydra can read a word."""
+    with suppress(HydraException):
+        return bool(PARSER.parse_override(word))
+    return False
+
+
+def _quoted(text: object) -> str:
+    """Return what Hydra's grammar takes as text."""
+    escaped = str(text).replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
+
+
+def require_keys(config_name: str, settings: list[str]) -> list[str]:
+    """Refuse a key that the config of a command does not have, and let one of a plant be added to it."""
+    if not settings:
+        return []
+    folders, chosen, keys = [CONF, Path(config_dir() or CONF)], [], {}
+    for word, override in zip(settings, PARSER.parse_overrides(settings)):
+        key, glob = override.key_or_group, "=glob(" in word
+        many = (override.is_choice_sweep() and not glob) or override.is_range_sweep()
+        first = next(override.sweep_string_iterator(), None) if many else word.partition("=")[2].strip("'\"")
+        if first is None:
+            raise ValueError(f"the sweep has no job, as {word} is empty; give values, such as 'seed=range(0,5)'")
+        group = key.startswith("hydra/") or any((folder / key).is_dir() for folder in folders)
+        if group and not glob:  # of several options the first stands for all, and null is one that there is not
+            text = not first.startswith("[") and word[0] != "~"
+            chosen.append(f"{override.get_key_element()}='{first}'" if text else word)
+        elif key == "hydra.searchpath":
+            chosen.append(word)
+        elif not group and not key.startswith("hydra."):
+            keys[word] = key
+    whole: Any = OmegaConf.to_container(compose(config_name, chosen))
+    names = [f"{group}.{name}".lstrip(".") for group, node in nodes(whole) for name in node]
+    added = []
+    for word, key in keys.items():
+        group, _, name = key.rpartition(".")
+        if source := taken_from(group, whole):
+            raise ValueError(f"'{key}' follows another key; give {source}.{name} instead")
+        if key in names or word[0] in "+~":
+            continue
+        if "plant" not in names or not key.startswith("plant."):
+            raise ValueError(_misspelt(key, names))
+        added.append(word)
+    return [f"++{word}" if word in added else word for word in settings]
+
+
+def _misspelt(key: str, names: list[str]) -> str:
+    """Return which keys stand where one was given that does not exist."""
+    public = (each for each in dict.fromkeys(names) if not re.search(r"\[|(^|\.)_", each))
+    known = sorted(public, key=lambda name: name.count("."))
+    group = key.rpartition(".")[0]
+    while group not in ("", *known):
+        group = group.rpartition(".")[0]
+    own = [each.rpartition(".")[2] for each in known if each.rpartition(".")[0] == group]
+    return unknown_name(key.removeprefix(f"{group}."), own, group, known)
+
+
+def compose(config_name: str | None, settings: list[str]) -> DictConfig:
+    """Return a config as Hydra composes it of settings, with the folder of the user's own as the command names it."""
+    own = config_dir()
+    folder = [f"hydra.searchpath=[file://{Path(own).absolute()}]"] if own else []
+    GlobalHydra.instance().clear()
+    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+        return hydra.compose(config_name, overrides=[*folder, *settings])
+
+
+def implied(settings: list[str], options: Namespace) -> list[str]:
+    """Return what settings imply: the folder that Hydra is to use, and the plant of a model.
+
+    The same sweep has the same folder, so that the same command goes on with it; a resumed run keeps its own. A model
+    that is given without data and without a plant, `model=model.json`, stands in the place of a log's.
+    """
+    pairs = (word.partition("=")[::2] for word in settings)
+    given = {key: text for key, value in pairs if (text := value.strip("'\"")) not in ("null", "")}
+    found = ["system=logged"] if "model" in given and not {"data", "system", "resume"} & given.keys() else []
+    if folder := given.get("resume"):
+        if not (Path(folder) / "config.yaml").is_file():
+            raise FileNotFoundError(
+                f"resume={folder} is no run folder, it has no config.yaml; give one of a stopped run"
+            )
+        found.append(f"hydra.run.dir={_quoted(folder)}")
+    elif options.multirun and "hydra.sweep.dir" not in given:
+        own = [word for word in settings if not word.startswith("hydra")]
+        digest = hashlib.blake2b(" ".join(own).encode(), digest_size=3).hexdigest()
+        readable = re.sub(r"[^A-Za-z0-9.]+", "-", "_".join(own)).strip("-.")
+        found.append(f"hydra.sweep.dir='runs/{readable[:80]}_{digest}'")
+    return found
+
+
+def taken_from(key: str, node: object) -> str:
+    """Return the key that another one takes its value from, as `sensors.channels` does from `plant.sensors`, or ''."""
+    step, _, rest = key.partition(".")
+    if not isinstance(node, dict) or step not in node:
+        return ""
+    source = re.fullmatch(r"\$\{(?:oc\.select:)?([\w.]+)(,.*)?\}", str(node[step]))
+    return f"{source[1]}.{rest}".rstrip(".") if source else taken_from(rest, node[step])
+
+
+def unknown_name(name: str, names: Iterable[str], where: str, elsewhere: Iterable[str] = ()) -> str:
+    """Return which names are allowed instead of one that does not exist in a group, or is a key of another one."""
+    names = sorted(names)
+    same = [key for key in elsewhere if key.rpartition(".")[2] == name.rpartition(".")[2]]
+    meant = [repr(key) for key in same if key.count(".") == same[0].count(".")][:3]
+    hint = f"; did you mean {' or '.join(meant)}?" if meant else did_you_mean(name, names)
+    group, _, key = f"{where}.{name}".strip(".").partition(".")
+    files = group_options(group) if key else {}  # another option of the group may have the key
+    own = [option for option, file in files.items() if re.search(rf"^ *{re.escape(key)}:", file.read_text(), re.M)]
+    hint = f"; {group}={' or '.join(own)} has it" if own else hint
+    place = f" in '{where}'" if where else ""
+    return f"'{name}' does not exist{place}; allowed are {', '.join(names) or 'none'}{hint}"
+
+
+def nodes(tree: Any, key: str = "") -> Iterator[tuple[str, Mapping[Any, Any]]]:
+    """Yield all groups of settings, each with its key; a group comes before those in it."""
+    if isinstance(tree, Mapping):
+        yield key, tree
+        for name, child in tree.items():
+            yield from nodes(child, f"{key}.{name}".lstrip("."))
+    elif isinstance(tree, list):
+        for place, child in enumerate(tree):
+            yield from nodes(child, f"{key}[{place}]")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli import command
+from cli import command, command_line, next_steps, without
 
 if TYPE_CHECKING:
     from dynasindy.identification.identify import Identified
@@ -17,7 +17,6 @@ def main(cfg: Any) -> None:
     """Load data, fit, judge, write everything and print it."""
     from hydra.core.hydra_config import HydraConfig
     from hydra.utils import instantiate
-    from next_steps import next_steps
 
     from dynasindy.identification.identify import before_fit, identify_source, to_words, write_identification
     from dynasindy.progress import report_progress, say, width
@@ -69,7 +68,6 @@ def given_targets(cfg: Any) -> dict[str, Any]:
 def next_command(cfg: Any, found: Identified) -> str:
     """Return the command that plans, with all that was given, and what comes of it."""
     from hydra.core.hydra_config import HydraConfig
-    from next_steps import command_line, without
 
     from dynasindy.identification.source import closest_period, rates_of
     from dynasindy.identification.targets import targets_like

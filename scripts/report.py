@@ -10,7 +10,7 @@ from cli import command
 def main(cfg: Any) -> None:
     """Build the report from the tables of a folder and the runs in it."""
     from omegaconf import OmegaConf
-    from trust import read_config
+    from settings import read_config
 
     from dynasindy.viz.report import Results, build
 

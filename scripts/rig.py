@@ -7,15 +7,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cli import command
+from cli import command, command_line, next_steps, run_steps, without
 
 
-@command("rig", progress=False)  # a clock of its own keeps the time
+@command("rig")
 def main(cfg: Any) -> None:
     """Excite, identify, plan while the rig rests, fly; or fly a controller that is there."""
     from hydra.core.hydra_config import HydraConfig
     from hydra.utils import instantiate
-    from next_steps import command_line, next_steps, run_steps, without
     from omegaconf import OmegaConf
 
     from dynasindy import load

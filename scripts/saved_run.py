@@ -1,44 +1,55 @@
-"""Runs of Algorithm 1: made from a composed config, gone on with, and loaded again for their policy."""
+"""Runs of the main job: trained on a plant, planned from a log alone, and loaded again for their policy."""
 
+import hashlib
 import shlex
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
-from cli import CONF, IN_CLONE, group_options, program
+from cli import CONF, IN_CLONE, command_line, group_options, improvements, next_steps, program, run_steps, without
+from command import compose, unknown_name
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
+from identify import given_targets, load_data
 from omegaconf import DictConfig, OmegaConf
-from settings import check
-from trust import plugins_of, read_config, require_trusted
-from words import compose, unknown_name
+from settings import check, plugins_of, read_config
 
-from dynasindy.control import load
+from dynasindy.control import load, save
 from dynasindy.control.files import NAME
+from dynasindy.control.period import suited_period
+from dynasindy.dyna import Stopped
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import read_weights, result
 from dynasindy.dyna.recorder import Evaluating
-from dynasindy.dyna.run import run
+from dynasindy.dyna.run import run, run_report
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Policy, Scenario
-from dynasindy.safe_io import read_json, reading
+from dynasindy.evaluation.tracking_criteria import WITHIN
+from dynasindy.findings import Finding, note
+from dynasindy.identification.recording_diagnostics import low_signal_findings
+from dynasindy.identification.source import PERIOD, Source, closest_period, rates_of
+from dynasindy.identification.targets import require_radians, targets_like
+from dynasindy.planning import GradientPlanning
+from dynasindy.progress import say
+from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
+from dynasindy.sentences import command_word, lines
 from dynasindy.sindy import Oracle, SindyModel
+from dynasindy.viz.controllers import controller_name, name_by_planning
+from dynasindy.workbench import damped, forecast, log_report, model_of, plan, refit_shortage
 
-NO_PLANT = {"rig": "is a session on a rig", "data": "was planned from a log", "model": "was planned from a model"}
-"""Settings of folders that hold no run on a simulated plant, and what these are."""
 
-
-def run_job(cfg: DictConfig, progress: bool = True) -> tuple[DictConfig, Recipe, dict[str, Any], bool]:
-    """Build the experiment of a config and run it, unless it has ended before.
+def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
+    """Run the experiment of a config, unless it has ended before, draw its figures and print what came of it.
 
     Returns:
-        Its settings, the run's own where it went on with one; the experiment; what its `metrics.json` holds; and
-        whether it had ended before.
+        Whether it is as good as the config wants it to be.
     """
     job = HydraConfig.get()
     if cfg.resume is not None:
@@ -54,14 +65,28 @@ def run_job(cfg: DictConfig, progress: bool = True) -> tuple[DictConfig, Recipe,
     names = [field.name for field in fields(Recipe) if field.name not in ("seed", "device")]
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
     recipe = Recipe(**parts, seed=cfg.seed, device=cfg.get("device", "cpu"))
-    scenario, within = instantiate(cfg.scenario, _convert_="all"), cfg.evaluation.get("within", 0.01)
+    scenario, within = instantiate(cfg.scenario, _convert_="all"), cfg.evaluation.get("within", WITHIN)
     evaluating = Evaluating(scenario, cfg.evaluation.every, within, cfg.get("tensorboard", False))
-    if progress:
-        print(f"Run folder: {folder}", flush=True)
+    print(f"Run folder: {folder}", flush=True)
     before = result(folder, recipe.train.episodes) is not None
     kept = cfg.checkpoint.every, shlex.join([*program("train").split(), *plugins_of(cfg)])
-    metrics = run(recipe, evaluating, folder, config, command_and_commit(job), *kept, progress, cfg.finish)
-    return cfg, recipe, metrics, before
+    metrics = run(recipe, evaluating, folder, config, command_and_commit(job), *kept, cfg.finish)
+    if before and swept:
+        print(f"finished before: {folder}")
+        return True
+    from dynasindy.viz.run import draw_run  # Matplotlib, when there is something to draw
+
+    draw_run(folder, recipe.system.signature, tuple(cfg.get("formats", ("png",))), name_by_planning(cfg.planning))
+    say(run_report(metrics, folder))
+    controlled = metrics["verdict"].get("controlled") is not False
+    written = (folder / NAME).is_file()  # a task without targets leaves no controller to check or to export
+    if controlled and not swept:
+        flown = run_steps(folder, "evaluate", plugins=plugins_of(cfg))
+        say(next_steps(*flown, *(run_steps(folder, "check", "export") if written else ())))
+    elif not swept:
+        say(improvements(folder, job.overrides.task, recipe.train.episodes, written, metrics["imagined_error"]))
+    good = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve
+    return good and (controlled or not cfg.evaluation.get("must_control"))
 
 
 def _resumed(cfg: DictConfig, job: DictConfig) -> DictConfig:
@@ -89,6 +114,116 @@ def command_and_commit(job: DictConfig) -> dict[str, str]:
     return {"command": " ".join([program(job.job.config_name), *job.overrides.task]), "commit": commit or "unknown"}
 
 
+def prepare(cfg: DictConfig) -> tuple[dict[str, Any], Source | None, dict[str, Any], list[Finding]]:
+    """Read the log of a config and build the parts of a plan; what cannot be is refused before the fit.
+
+    Returns:
+        Settings of the planning, the log, what a plan is made of by group, and what was found.
+    """
+    if (device := cfg.get("device", "cpu")) != "cpu":
+        raise ValueError(f"device is {device}; allowed is cpu where a log or a model is planned on: leave it out")
+    if cfg.get("data") is None and cfg.system is not None:
+        raise ValueError("model=PATH plans without a plant, and system names one; leave system out")
+    source = None if cfg.get("data") is None else load_data(cfg)
+    targets = given_targets(cfg)
+    if lacking := [name for name, value in targets.items() if value is None]:
+        like: dict[str, list[str]] = {"outputs": ["angle"], "low": ["-0.5"], "high": ["0.5"]}
+        if source is not None and targets["outputs"] is not None:  # where most of its samples lie
+            for name in targets["outputs"]:
+                source.signature.state_index(str(name))  # which says what there is instead of an unknown one
+            like = targets_like(source, (), targets) or like
+        words = " ".join(command_word(f"plant.{name}", values) for name, values in like.items())
+        what = "say what is to be tracked, and within which targets, such as"
+        raise ValueError(f"plant.{lacking[0]} is not given; {what} {words}")
+    build = instantiate(cfg.planning, _convert_="all")
+    if not isinstance(build, partial) or build.func is not GradientPlanning:
+        raise ValueError("without a plant a policy is planned through the model's gradient; leave planning=gradient")
+    planning = {name: value for name, value in build.keywords.items() if name != "every"}
+    names = ("task", "sensors", "world_model", "scenario")
+    parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
+    given = source is None or cfg.model is not None  # it has its own library
+    model = SindyModel.load(str(cfg.model)) if given else parts["world_model"](signature=source.signature)
+    parts["task"](signature=model.signature)
+    if source is None:
+        return planning, None, parts, []
+    ends = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
+    others = [i for i, name in enumerate(source.signature.state_names) if name not in ends]
+    require_radians(source, ends)
+    return planning, source, parts, low_signal_findings(source.training, source.signature, others)
+
+
+def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
+    """Identify, plan and forecast without a plant, write the folder, and print what came of it.
+
+    Returns:
+        Whether it is as good as the config wants it to be.
+    """
+    planning, source, parts, findings = prepare(cfg)
+    folder, settings, words = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True), HydraConfig.get().overrides.task
+    figures = output_folder(folder, "figures")
+    read = _digests(cfg)
+    if swept and _finished(folder, settings, read):
+        say(f"finished before: {folder}")
+        return True
+    say(f"Run folder: {folder}", *lines(findings))
+    model = model_of(source, parts["world_model"], cfg.model)
+    if "rates" not in cfg.plant:  # nor where they are to be given
+        OmegaConf.update(cfg, "plant.rates", damped(cfg.plant.outputs, rates_of(model)), force_add=True)
+    task = instantiate(cfg.task, _convert_="all")(signature=model.signature)
+    for name in ("metrics.json", NAME):  # of other settings
+        (folder / name).unlink(missing_ok=True)
+    write_text(folder / "config.yaml", settings)  # before the plan, which may fail
+    write_json(folder / "origin.json", {**command_and_commit(HydraConfig.get()), "read": read})
+    model.save(folder / "model.json")
+    if cfg.env.dt == PERIOD and not any(word.lstrip("+").startswith("env.dt=") for word in words):
+        dt, why = suited_period(model, task, source)
+    elif (dt := closest_period(source, cfg.env.dt)) == cfg.env.dt or source is None:
+        why = None
+    else:
+        why = note("control.sampled", seconds=dt, wanted=cfg.env.dt, step=source.training.dt)
+    say(*lines(filter(None, [why, refit_shortage(model, source)])))
+    try:
+        controller = plan(model, task, source, parts["sensors"], dt, cfg.seed, **planning)
+        save(controller, folder / NAME)  # before the forecast, which may fail
+        scenario = replace(parts["scenario"], seconds=None, lengths=1.0)  # as long as the task's episodes
+        prediction = forecast(controller, model, source, scenario, cfg.seed, cfg.evaluation.get("within", WITHIN))
+    except (KeyboardInterrupt, Exception) as stop:
+        if (folder / NAME).is_file():
+            say(f"Controller: {folder / NAME}, of which nothing is promised")
+        if not isinstance(stop, KeyboardInterrupt):
+            raise
+        again = command_line("train", [*without(words, "model"), f"model={folder / 'model.json'}"])
+        line = f"stopped; the equations are kept, plan on them without a new fit: {again}"
+        raise Stopped(line, getattr(stop, "signal", 2)) from stop
+    write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})
+    if flown := prediction.evaluation:
+        from dynasindy.viz.response import draw_evaluation
+
+        draw_evaluation(flown, figures, controller_name("gradient"), tuple(cfg.formats), prediction.place)
+    say(log_report(model, prediction), f"Controller: {folder / NAME}", *model.signature.own_inputs())
+    if not swept:
+        steps = next_steps(*run_steps(folder, "check", "export"))
+        say(steps if prediction.controlled else improvements(folder, words))
+    return prediction.controlled or not cfg.evaluation.get("must_control")
+
+
+def _digests(cfg: DictConfig) -> dict[str, str]:
+    """Return the SHA-256 of what is read: a log that was recorded anew has the same name."""
+    logs = OmegaConf.select(cfg, "data.path", default=None)
+    files = (cfg.model, *([logs] if isinstance(logs, str) else logs or ()))
+    found = sorted(str(file) for file in files if file and Path(file).is_file())
+    return {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in found}
+
+
+def _finished(folder: Path, settings: str, read: Mapping[str, str]) -> bool:
+    """Return whether a folder holds a finished job of the same settings and files."""
+    with suppress(OSError, KeyError, ValueError):
+        origin, metrics = (read_json(folder / f"{name}.json") for name in ("origin", "metrics"))
+        same = (folder / "config.yaml").read_text() == settings and origin["read"] == read
+        return same and "controlled" in metrics["prediction"]
+    return False
+
+
 def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
     """Return the resolved configuration of a run, of which nothing but parts of dynasindy and plug-ins can be built.
 
@@ -98,11 +233,10 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
     if not file.is_file():
         raise FileNotFoundError(f"{folder} is not a run folder, it has no config.yaml; give one that train.py printed")
     config = read_config(file)
-    if kinds := [what for key, what in NO_PLANT.items() if config.get(key) is not None]:
+    if any(config.get(key) is not None for key in ("rig", "data", "model")):
         told = f"{program('check')} run={folder} tells what its controller does on the model"
-        raise ValueError(f"{folder} {kinds[0]}, so there is no simulated plant to fly; {told}")
-    require_trusted(OmegaConf.to_container(config, resolve=False), plugins, str(file))
-    check(config, str(file))
+        raise ValueError(f"{folder} is of a rig, a log or a model, so there is no simulated plant to fly; {told}")
+    check(config, str(file), plugins)
     return config
 
 

@@ -1,4 +1,8 @@
-"""What a config may hold: the annotations of what it builds are its schema, checked before anything is built."""
+"""What a config may hold: the annotations of what it builds are its schema, checked before anything is built.
+
+A run folder may be anybody's: its config.yaml holds plain settings, and parts of the package or of a plug-in to build.
+What a user composes himself, from conf/ or --config-dir, is his own, and may build anything.
+"""
 
 import inspect
 import math
@@ -6,29 +10,40 @@ import os
 import pkgutil
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import is_dataclass
 from functools import cache, partial
-from itertools import chain
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints, is_typeddict
 
+import yaml
 from cli import CONF
+from command import nodes, unknown_name
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationResolutionError, InterpolationToMissingValueError
 from pydantic import BeforeValidator, ConfigDict, Field, PlainValidator, StrictBool, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
-from trust import nodes
 from typing_extensions import TypedDict
-from words import unknown_name
 
 from dynasindy.identification.source import DataSource
+from dynasindy.safe_io import read_text, reading
 from dynasindy.sindy import WorldModel
 from dynasindy.sindy.functions import register_function
 from dynasindy.systems import System
 from dynasindy.tasks.references import Signal
 
-HYDRA = {"_target_", "_partial_", "_args_", "_convert_", "_recursive_"}
+SIZE, DEPTH = 250_000, 20
+"""Size [bytes] and depth that a config.yaml may have; those of runs have 3000 and 6. Deep ones take YAML minutes."""
+PARTS = re.compile(
+    r"dynasindy\.((systems|tasks|envs|excitation|sindy|planning|agents|sensing|dyna\.experiment"
+    r"|evaluation\.(scenarios|disturbances|ablation))\.(\w+\.)*[A-Z]\w*"
+    r"|sindy\.named_libraries\.[a-z]\w*|evaluation\.scenarios\.step_references|tasks\.references\.(target|wave))"
+)
+"""The classes and functions of the package that an experiment is made of."""
+FOREIGN = (".Foreign", ".GymnasiumEnv")
+"""Parts that look an environment up by its id."""
+PLUGINS = "DYNASINDY_PLUGINS"
+"""Environment variable that names packages of plug-ins, with commas or spaces between them."""
 GIVEN = {"signature", "dt", "system", "task", "n_u", "n_obs", "env", "agent", "replay", "policy", "x", "u", "x_next"}
 """Arguments that an experiment hands to what a config builds with `_partial_`."""
 SOME = Field(min_length=1)
@@ -59,10 +74,7 @@ TOP: dict[str, Any] = {
     **{"plant.initial": dict[str, dict[str, float]] | None, "plant.noise": dict[str, float] | None},
     **{"plant.rates": list[str | None], "plant.first": float},
     **{"plant.sensors": dict[str, dict[str, float]], "plant.signals.step": list[list[float]]},
-    **{"plant.signals.sine": Signal, "plant.signals.square": Signal, "reach": float, "fmi": Literal[2, 3]},
-    # Their number grows with the power of the outputs, and flights with the square of the grid.
-    **{"points": Annotated[int, range(1, 51)], "grid": Annotated[int, range(2, 101)]},
-    **{"draws": Annotated[int, range(10_001)]},
+    **{"plant.signals.sine": Signal, "plant.signals.square": Signal, "fmi": Literal[2, 3]},
 }
 """Keys of any command's config, besides those of what it builds, and those whose types import TorchRL.
 
@@ -72,10 +84,87 @@ EXPORTING: dict[str, Any] = {"formats": list[Literal["c", "onnx", "fmu", "model"
 """What keys of export allow beside those of other commands."""
 
 
-def check(cfg: DictConfig, file: str = "") -> None:
-    """Check every value of a composed config, and make numbers of those that were written as text.
+def read_config(file: Path) -> DictConfig:
+    """Return the settings of a run's config.yaml: small and plain YAML, without tags, aliases and interpolations."""
+    text, depth = read_text(file, SIZE), 0
+    with reading(file):
+        try:
+            for event in yaml.parse(text, Loader=yaml.SafeLoader):
+                depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+                anchor, tag, value = (getattr(event, name, None) for name in ("anchor", "tag", "value"))
+                if anchor or tag or "${" in (value or "") or depth > DEPTH:  # an alias has an anchor, too
+                    line = event.start_mark.line + 1
+                    raise ValueError(f"line {line} is no plain key and value, as a run writes them")
+            config = OmegaConf.create(text)
+        except (yaml.YAMLError, AssertionError) as error:  # OmegaConf asserts that a text is no single number
+            raise ValueError(str(error) or "it does not hold keys and values") from error
+        if not isinstance(config, DictConfig):
+            raise TypeError("it does not hold keys and values")
+    return config
 
-    One that was read from a `file`, a finished run's, has all parts of an experiment.
+
+def plugins_of(cfg: DictConfig) -> tuple[str, ...]:
+    """Return the word of a command line that names the packages of the user's own parts; none where there are none."""
+    built = [node for _, node in nodes(OmegaConf.to_container(cfg, resolve=True)) if "_target_" in node]
+    named = [name for node in built for name in (str(node["_target_"]), _module(node))]
+    own = sorted({name.partition(".")[0] for name in named} - {"dynasindy", ""})
+    return (f"plugins=[{','.join(own)}]",) if own else ()
+
+
+def require_trusted(tree: Any, plugins: Sequence[str] = ()) -> None:
+    """Refuse settings, as plain containers, that would build anything but a part of the package or of a plug-in.
+
+    Plug-ins are packages that the user names, to the command and in the environment.
+    """
+    named = re.split(r"[,\s]+", ",".join([*plugins, os.environ.get(PLUGINS, "")]))
+    for key, node in nodes(tree):
+        if why := _distrust(node, ["dynasindy", *filter(None, named)], key):
+            raise ValueError(f"{key and f'{key}.'}{why}")
+
+
+def _distrust(node: Mapping[Any, Any], packages: Sequence[str], key: str) -> str:
+    """Return what in a group no run writes, or what it would build that is not trusted, and what is allowed instead.
+
+    Nothing outside of the packages is imported to find out.
+    """
+    for word, value in node.items():
+        if str(word).startswith("_") and word != "_target_" and not (word == "_partial_" and isinstance(value, bool)):
+            return f"{word}: {_shown(value)}, which no run writes: remove it"
+    if "_target_" not in node:
+        return ""
+    by_name = f"plug-ins that you trust and name, as by plugins=[PACKAGE,OTHER] or {PLUGINS}=PACKAGE,OTHER"
+    target, module = node["_target_"], _module(node)
+    package = next((name for name in packages if str(target).startswith(f"{name}.")), "")
+    plain = package and re.fullmatch(r"[^\W\d_]\w*(\.[^\W\d_]\w*)+", target)
+    if not plain or not is_part(_builder(node, key), package):
+        return f"_target_: {_shown(target)}, which is no part; allowed are parts of dynasindy, and of {by_name}"
+    if module and module.partition(".")[0] not in packages:
+        return f"id: {_shown(node['id'])}, which imports {module[:40]!r}; allowed are environments of {by_name}"
+    options = node.get("options") or {} if target.endswith(FOREIGN) else {}
+    for value in options.values() if isinstance(options, Mapping) else [options]:
+        if not (value is None or isinstance(value, int | float)):  # it may be the name of a file to read
+            return f"options with {_shown(value)}; allowed are numbers, true and false"
+    return ""
+
+
+def _module(node: Mapping[Any, Any]) -> str:
+    """Return the module that Gymnasium imports for an environment, as `gymnasium.make("module:Name-v0")` does."""
+    module, colon, _ = str(node.get("id")).partition(":")
+    return module if colon and str(node.get("_target_")).endswith(FOREIGN) else ""
+
+
+def is_part(part: Any, package: str) -> bool:
+    """Return whether an object is a class or a function of the package itself, and one that experiments are made of."""
+    if not (inspect.isclass(part) or inspect.isfunction(part)) or part.__qualname__ != part.__name__:
+        return False
+    place = f"{part.__module__}.{part.__name__}"
+    return bool(PARTS.fullmatch(place)) if package == "dynasindy" else place.startswith(f"{package}.")
+
+
+def check(cfg: DictConfig, file: str = "", plugins: Sequence[str] = ()) -> None:
+    """Check every value of a composed config, and make text of numbers where text belongs.
+
+    One that was read from a `file`, a finished run's, has all parts of an experiment, and is not trusted.
     """
     raw: Any = OmegaConf.to_container(cfg, resolve=False)
     if isinstance(raw.get("system"), dict) and raw["system"].keys() & {"system", "plant"}:
@@ -87,9 +176,11 @@ def check(cfg: DictConfig, file: str = "") -> None:
         tree: Any = OmegaConf.to_container(cfg, resolve=True)
         if "train" not in tree and not file and (tree.get("data") or {}).get("path"):
             tree.pop("excitation", None)  # nothing is excited where there is a log
-        if not file:  # what a run read is all that its file holds
+        if file:
+            require_trusted(raw, plugins)
+        else:  # what a run read is all that its file holds
             _require_plant_settings(tree, repr(raw))
-        for key, value, hint in chain(_arguments(tree), _settings(tree, bool(file))):
+        for key, value, hint in _values(tree, bool(file)):
             fit = _fit(value, hint, key)
             if repr(fit) != repr(value):  # 10 equals 10.0
                 OmegaConf.update(cfg, key, fit, merge=False)
@@ -117,38 +208,31 @@ def _require_plant_settings(tree: Any, text: str) -> None:
                 raise ValueError(unknown_name(str(name), allowed, group, others))
 
 
-def _settings(tree: Mapping[str, Any], finished: bool) -> Iterator[tuple[str, Any, Any]]:
-    """Yield the keys that are no arguments, each with its value and what it allows.
+def _values(tree: Any, finished: bool) -> Iterator[tuple[str, Any, Any]]:
+    """Yield the values of all groups, parts before what holds them, each with its key and with what it has to be.
 
-    TorchRL is imported for those that need it.
+    Of a group with a `_target_`, the annotations of what it builds say that. TorchRL is imported where it is needed.
     """
-    hints = TOP | (EXPORTING if "fmi" in tree else {}) | ({"folder": str | None} if "run" in tree else {})
+    top = TOP | (EXPORTING if "fmi" in tree else {}) | ({"folder": str | None} if "run" in tree else {})
     if "train" in tree or finished:  # elsewhere a plant has words for the task of an experiment, which is not built
         from dynasindy.dyna.experiment import Recipe
 
         parts = get_type_hints(Recipe)
         for name in sorted(parts.keys() - tree.keys() - {"sensors"}) if finished else ():
             raise ValueError(f"'{name}' is not given; restore it, or train again")
-        hints = parts | hints
-    groups = dict(nodes(tree))
-    for key, hint in hints.items():
-        group, _, name = key.rpartition(".")
-        if (value := groups.get(group, {}).get(name, "???")) != "???":
-            yield key, value, hint
-
-
-def _arguments(tree: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Yield the arguments of all groups with `_target_`, wherever they stand, by the annotations of what they build."""
-    for group, node in nodes(tree):
-        if "_target_" not in node:
-            continue
-        hints, required, free = parameters(_builder(node, group))
-        given = {name: value for name, value in node.items() if name not in HYDRA}
-        for name in () if free else [name for name in given if name not in hints]:  # the first, in every process
-            raise ValueError(unknown_name(str(name), hints.keys() - GIVEN, group))
-        for name in sorted(required - given.keys() - (GIVEN if node.get("_partial_") else set())):
-            raise ValueError(f"{group}.{name} is not given; give it, as conf/ does")
-        yield from ((f"{group}.{name}", value, hints.get(name, Any)) for name, value in given.items() if value != "???")
+        top = parts | top
+    for group, node in reversed([*nodes(tree)]):
+        hints = {key.rpartition(".")[2]: hint for key, hint in top.items() if key.rpartition(".")[0] == group}
+        if "_target_" in node:
+            hints, required, free = parameters(_builder(node, group))
+            given = [str(name) for name in node if not str(name).startswith("_")]
+            for name in () if free else [name for name in given if name not in hints]:
+                raise ValueError(unknown_name(name, hints.keys() - GIVEN, group))
+            for name in sorted(required - {*given} - (GIVEN if node.get("_partial_") else set())):
+                raise ValueError(f"{group}.{name} is not given; give it, as conf/ does")
+        for name, value in node.items():
+            if name in hints and value != "???":
+                yield f"{group}.{name}".lstrip("."), value, hints[name]
 
 
 @cache
@@ -176,7 +260,7 @@ def parameters(builder: Any) -> tuple[dict[str, Any], set[str], bool]:
 def _fit(value: Any, hint: Any, key: str) -> Any:
     """Return a value as an annotation wants it; one that is wrong is named, with what is allowed, in one line."""
     try:
-        fit = _adapter(hint).validate_python(value)
+        fit = ADAPTER(hint).validate_python(value)
         return list(fit) if isinstance(fit, tuple) else fit
     except ValidationError as error:
         found: dict[tuple[Any, ...], tuple[Any, list[str]]] = {}
@@ -196,58 +280,49 @@ def _fit(value: Any, hint: Any, key: str) -> Any:
         raise ValueError(f"{where}={_shown(at)}; allowed is {options}: correct it") from None
 
 
-@cache
-def _adapter(hint: Any) -> TypeAdapter[Any]:
-    return TypeAdapter(_checked(hint))
-
-
 def _checked(hint: Any) -> Any:
     """Return an annotation as pydantic is to read it: numbers that float32 holds, lists, groups with `_target_`."""
     kind, options = get_origin(hint) or hint, get_args(hint)
-    kind = {Mapping: dict, Sequence: list, Collection: list, Iterable: list}.get(kind, kind)
+    kind = {Mapping: dict, Sequence: list, Collection: list, Iterable: list, UnionType: Union}.get(kind, kind)
     if kind is Annotated:
-        if math.inf in options:
-            return Annotated[Any, PlainValidator(partial(_number, endless=True))]
-        limits: list[Any] = [each for each in options[1:] if isinstance(each, FieldInfo)]
-        if ranges := [each for each in options if isinstance(each, range)]:
-            return Annotated[int, BeforeValidator(partial(_number, limits=ranges[0]))]
-        return Annotated[(_checked(options[0]), *limits)] if limits else _checked(options[0])
-    if kind in (Union, UnionType, dict, list, tuple) and options:
-        inner = tuple(each if each is Ellipsis else _checked(each) for each in options)
-        return (Union if kind is UnionType else kind)[inner]
+        inner = Endless if math.inf in options else _checked(options[0])
+        limits = [Field(ge=each.start, lt=each.stop) for each in options if isinstance(each, range)]
+        limits += [each for each in options if isinstance(each, FieldInfo)]
+        return Annotated[(inner, *limits)] if limits else inner
+    if kind in (Union, dict, list, tuple) and options:
+        return kind[tuple(each if each is Ellipsis else _checked(each) for each in options)]
     if is_typeddict(kind):
         made = TypedDict("group", {k: NotRequired[_checked(h)] for k, h in get_type_hints(kind).items()})  # type: ignore[operator]
         made.__pydantic_config__ = ConfigDict(extra="forbid")
         return made
-    plain: dict[Any, Any] = {
-        int: Annotated[int, BeforeValidator(_number)],
-        float: Annotated[Any, PlainValidator(_number)],
-        str: Annotated[str, Field(coerce_numbers_to_str=True)],
-        bool: StrictBool,
-        **dict.fromkeys((NoneType, Any, Literal, object, dict, list, tuple), hint),
-    }
-    return plain.get(kind, Annotated[Any, PlainValidator(partial(_require_builder, hint))])
+    if kind in (NoneType, Any, Literal, object, dict, list, tuple):
+        return hint
+    return PLAIN.get(kind, Annotated[Any, PlainValidator(partial(_require_builder, hint))])
 
 
-def _number(value: Any, endless: bool = False, limits: range | None = None) -> Any:
-    """Return a number that calculations stand, also from text."""
-    if isinstance(value, str):
-        with suppress(ValueError):
-            value = int(value) if value.strip("+-").isdigit() else float(value.replace(".inf", "inf"))
+def _number(value: Any, endless: bool = False) -> Any:
+    """Return a number that calculations stand."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError("Input should be a number")
     if value != 0 and not (endless and value == math.inf) and not 1 / LARGEST <= abs(value) <= LARGEST:
         raise ValueError(f"Input should be a finite number, 0 or of size {1 / LARGEST:g} to {LARGEST:g}")
-    if limits and not limits.start <= value < limits.stop:
-        raise ValueError(f"Input should be a number from {limits.start} to {limits.stop - 1}")
     return value
+
+
+Endless = Annotated[Any, PlainValidator(partial(_number, endless=True))]
+PLAIN: dict[Any, Any] = {
+    int: Annotated[int, BeforeValidator(_number)],
+    float: Annotated[Any, PlainValidator(_number)],
+    str: Annotated[str, Field(coerce_numbers_to_str=True)],
+    bool: StrictBool,
+}
+"""Types of values, and how pydantic is to read them."""
+ADAPTER = cache(lambda hint: TypeAdapter(_checked(hint)))
 
 
 def _require_builder(hint: Any, value: Any) -> Any:
     """Return a group with `_target_` that builds what an annotation wants."""
     wanted = get_origin(hint) or hint
-    if value == "???":
-        return value
     if isinstance(value, Mapping) and "_target_" in value:
         builder, later = _builder(value, ""), bool(value.get("_partial_"))
         made = (get_args(hint) or (Any,))[-1] if later else wanted

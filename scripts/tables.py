@@ -14,7 +14,6 @@ from pathlib import Path
 import pandas as pd
 import yaml
 
-from dynasindy.evaluation.ablation import Level, read_ablation, to_markdown
 from dynasindy.safe_io import write_text
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -34,8 +33,7 @@ def pages() -> dict[Path, str]:
     """Return the pages, with each table as the files have it now."""
     files = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *RESULTS.glob("*.md")]
     texts = ((file, file.read_text(encoding="utf-8")) for file in files)
-    found = {file: BLOCK.sub(lambda block: block[1] + markdown(block[2]) + block[3], text) for file, text in texts}
-    return found | {RESULTS / "ablation.md": ablation()}
+    return {file: BLOCK.sub(lambda block: block[1] + markdown(block[2]) + block[3], text) for file, text in texts}
 
 
 def main() -> None:
@@ -47,13 +45,9 @@ def main() -> None:
 
 
 def rows(name: str, **wanted: str) -> pd.DataFrame:
-    """Return the rows of a CSV file of docs/results that have the wanted cells, at least one, each cell as text."""
+    """Return the rows of a CSV file of docs/results that have the wanted cells, each cell as text."""
     found = pd.read_csv(RESULTS / name, dtype=str, keep_default_na=False)
-    for key, value in wanted.items():
-        found = found[found[key] == value]
-    if found.empty:
-        raise ValueError(f"{name} has no row with {wanted}")
-    return found
+    return found[(found[[*wanted]] == [*wanted.values()]).all(axis=1)]
 
 
 def worst(found: pd.DataFrame, column: str) -> float:
@@ -162,24 +156,7 @@ def identification() -> Rows:
             yield f"`{row.case}`", row.method, row.measure, row.target, row.value
 
 
-def rollouts() -> Rows:
-    """Yield rows of the ablation: 800, 400 and no rollouts with our settings."""
-    measured = ("real episodes to the level", "plant time to the level [s]", "area under the curve", "final return")
-    yield "plant, setting", "seeds that reach the level", *measured, "final error [rad]"
-    for line in ablation().splitlines():
-        plant, experiment, setting, _, _, *cells = line.strip("| ").split(" | ") if line.startswith("|") else [""] * 5
-        if experiment == "dyna" and setting in ("rollouts_800", "rollouts_400", "rollouts_0"):
-            yield f"`{plant}`, `{setting}`", *(cell.replace(" [never, never]", "") for cell in cells[:6])
-
-
-def ablation() -> str:
-    """Return the table of all settings of the ablation."""
-    return to_markdown(read_ablation(RESULTS / "ablation.csv"), Level())
-
-
-TABLES = {
-    table.__name__: table for table in (main_job, gradient, rig_models, plants, logs, peers, identification, rollouts)
-}
+TABLES = {table.__name__: table for table in (main_job, gradient, rig_models, plants, logs, peers, identification)}
 """The tables by name."""
 
 

@@ -157,7 +157,7 @@ def go(folder, left=None, where="cuda"):
     Plug.left = left
     one = recipe("dyna", where, system=Plug)
     evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=3.0))
-    return run(one, evaluating, folder, "a: 1\n", {}, progress=False)
+    return run(one, evaluating, folder, "a: 1\n", {})
 
 
 @needs_gpu

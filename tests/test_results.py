@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 import tables
 
+from dynasindy.evaluation.ablation import Level, read_ablation, to_markdown
+
 REPOSITORY = Path(__file__).parents[1]
 RESULTS = REPOSITORY / "docs" / "results"
 ORIGINS = sorted(RESULTS.rglob("origin.json"))
@@ -31,6 +33,17 @@ def test_a_number_that_changed_in_a_page_is_written_anew(tmp_path, monkeypatch):
         found = [row for row in csv.DictReader(file) if (row["case"], row["plant"]) == ("step", "xi")]
     worst = max(float(row["pitch"]) for row in found if (row["scenario"], row["plant_seconds"]) == ("step", "10.0"))
     assert f" / {1000 * worst:.1f} |" in main_job.splitlines()[3]
+
+
+def test_the_tables_of_the_ablation_are_made_of_its_rows():
+    whole = (RESULTS / "ablation.md").read_text()
+    assert whole == to_markdown(read_ablation(RESULTS / "ablation.csv"), Level())
+    page = (RESULTS.parent / "ablation.md").read_text()
+    shown = re.findall(r"^\| `(tras|xi)`, `(rollouts_\d+)` \| (.*) \|$", page, re.M)
+    for plant, setting, cells in shown:
+        (row,) = re.findall(rf"^\| {plant} \| dyna \| {setting} \| \S+ \| \S+ \| (.*)$", whole, re.M)
+        assert row.replace(" [never, never]", "").startswith(cells)
+    assert len(shown) == 6
 
 
 @pytest.mark.parametrize("file", ORIGINS, ids=lambda file: file.parent.name)

@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
+import pydantic
 import torch
+from pydantic import Field
 from torch import Tensor
 
 from dynasindy.checking.closed_loop import ClosedLoop, LoopSimulation
@@ -41,7 +44,7 @@ GROWTH = 1.1
 """Ratio of the swings in the last part of such a flight to those in the part before, from which on they grow."""
 
 
-@dataclass(frozen=True)
+@pydantic.dataclasses.dataclass(frozen=True)
 class Settings:
     """What is tried.
 
@@ -58,16 +61,16 @@ class Settings:
             model rests nearest to the middle target if these exclude the origin.
 
     Raises:
-        ValueError: The target range is none, or a number is too small.
+        ValueError: The target range is none, or a number is out of its range.
     """
 
     low: tuple[float, ...]
     high: tuple[float, ...]
-    points: int = 3
-    seconds: float | None = None
-    reach: float = 1.0
-    grid: int = 11
-    draws: int = 20
+    points: Annotated[int, Field(ge=1, le=50)] = 3  # their number grows with the power of the outputs
+    seconds: Annotated[float, Field(gt=0, le=1e5)] | None = None
+    reach: Annotated[float, Field(gt=0, le=1e5)] = 1.0
+    grid: Annotated[int, Field(ge=2, le=100)] = 11  # with whose square flights grow
+    draws: Annotated[int, Field(ge=0, le=10_000)] = 20
     seed: int = 0
     start: Mapping[str, Ends] = field(default_factory=dict)
     bounds: Mapping[str, Ends] = field(default_factory=dict)
@@ -76,9 +79,6 @@ class Settings:
         ends = list(zip(self.low, self.high, strict=False))
         if len(self.low) != len(self.high) or not all(-math.inf < a <= b < math.inf for a, b in ends):
             raise ValueError(f"low={self.low}, high={self.high}; give one number per output in each, low <= high")
-        length = 1.0 if self.seconds is None else self.seconds
-        if self.points < 1 or self.grid < 2 or self.draws < 0 or not (0 < length < math.inf and self.reach > 0):
-            raise ValueError(f"{self}: give points >= 1, grid >= 2, draws >= 0, seconds > 0 and reach > 0")
 
     @property
     def ends(self) -> Tensor:

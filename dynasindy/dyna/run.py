@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,6 @@ def run(
     origin: Mapping[str, str],
     checkpoint_every: int = 1,
     again: str = "dynasindy train",
-    progress: bool = True,
     finish: bool = False,
 ) -> dict[str, Any]:
     """Run an experiment and write its folder; go on where an earlier run of the same settings stopped.
@@ -46,7 +45,6 @@ def run(
         origin: The command, and the commit of the code.
         checkpoint_every: Episodes between two checkpoints; 0 keeps none.
         again: How the command is called that goes on with a run.
-        progress: Show on standard error what is under way.
         finish: End the run with what it has learnt so far.
 
     Returns:
@@ -87,7 +85,7 @@ def run(
             else:
                 _restore(kept, state, checkpoints.folder)
                 _resume(folder, origin.get("commit"))
-            with Progress() if progress else nullcontext():
+            with Progress():
                 if not finish:
                     recorder.progress(place.episodes)
                     train(parts, recipe.train, recorder, place)

@@ -1,6 +1,7 @@
 """A check holds what its parts find, and its record is plain numbers."""
 
 import json
+import math
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -25,6 +26,12 @@ SMALL = Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=2)
 def test_targets_are_the_grid_of_the_box():
     assert Settings((0.0, -1.0), (1.0, 1.0), points=2).targets.tolist() == [[0, -1], [0, 1], [1, -1], [1, 1]]
     assert Settings((0.0,), (1.0,), points=1).targets.tolist() == [[0.5]]
+
+
+@pytest.mark.parametrize("wrong", [{"points": 51}, {"grid": 1}, {"draws": -1}, {"seconds": 0.0}, {"reach": math.inf}])
+def test_what_cannot_be_tried_is_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        Settings((0.0,), (1.0,), **wrong)
 
 
 def test_what_is_tried_by_default_is_what_the_command_tries():

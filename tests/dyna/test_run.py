@@ -71,7 +71,7 @@ def recipe(planning, episodes=3):
 def go(folder, name, last=None, episodes=3, **options):
     Plug.calls, Plug.last = 0, last
     evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2)
-    return run(recipe(PLANNERS[name], episodes), evaluating, folder, *PROVENANCE, progress=False, **options)
+    return run(recipe(PLANNERS[name], episodes), evaluating, folder, *PROVENANCE, **options)
 
 
 def kept(folder):
@@ -135,7 +135,7 @@ def test_numbers_that_go_wrong_are_said_with_the_episode_and_lose_nothing(tmp_pa
     evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2)
     loose = dataclasses.replace(recipe(NoPlanning), system=Loose())
     with pytest.raises(Diverged, match="episode"):
-        run(loose, evaluating, tmp_path, *PROVENANCE, progress=False)
+        run(loose, evaluating, tmp_path, *PROVENANCE)
     assert not (tmp_path / "policy.pt").exists()
     assert go(tmp_path, "none")["episodes"] == 3  # on the plant as it should be
 
@@ -147,7 +147,7 @@ def test_a_checkpoint_of_another_run_costs_one_line(tmp_path):
     evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2)
     wider = dataclasses.replace(recipe(REPLAYED), agent=partial(TD3, hidden=(9, 8)))
     with pytest.raises(ValueError, match="checkpoints"):
-        run(wider, evaluating, tmp_path, *PROVENANCE, progress=False)
+        run(wider, evaluating, tmp_path, *PROVENANCE)
 
 
 def test_other_code_that_goes_on_with_a_run_is_noted(tmp_path):
@@ -156,7 +156,7 @@ def test_other_code_that_goes_on_with_a_run_is_noted(tmp_path):
     assert json.loads((tmp_path / "origin.json").read_text()) == PROVENANCE[1]
     evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2)
     Plug.last = None
-    run(recipe(NoPlanning), evaluating, tmp_path, "a: 1\n", {"commit": "def"}, progress=False)
+    run(recipe(NoPlanning), evaluating, tmp_path, "a: 1\n", {"commit": "def"})
     assert json.loads((tmp_path / "origin.json").read_text())["resumed_at_commit"] == "def"
 
 
@@ -166,7 +166,7 @@ def test_a_task_without_references_goes_the_whole_way(settle, tmp_path, name):
     made = recipe(PLANNERS[name], 1)
     made = dataclasses.replace(made, task=partial(settle, reach=0.01, max_steps=20))
     evaluating = Evaluating(Scenario("task", episodes=2, seconds=None))
-    metrics = run(made, evaluating, tmp_path / "run", *PROVENANCE, progress=False)
+    metrics = run(made, evaluating, tmp_path / "run", *PROVENANCE)
     assert metrics["held"]["share"] == metrics["findings"][-1]["values"]["outputs"] == {}
     assert metrics["verdict"]["controlled"] is None  # nothing is said of control
     told = run_report(metrics, tmp_path / "run")

@@ -10,9 +10,9 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 def words(monkeypatch):
     """Return the module that reads the words of a command line."""
     monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "scripts")
-    import words
+    import command
 
-    return words
+    return command
 
 
 @pytest.mark.parametrize("options", [[], ["--config-dir", "own"], ["--config-dir=own"], ["--config-dir", "own", "-v"]])

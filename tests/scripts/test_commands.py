@@ -30,7 +30,8 @@ def dynasindy(*words, cwd, **environment):
 def test_every_command_is_a_script_with_a_main_and_every_config_belongs_to_one(cli):
     for name in cli.COMMANDS:
         text = (ROOT / "scripts" / f"{name}.py").read_text()
-        assert re.search(r"^def main\(", text, re.M) and 'if __name__ == "__main__":\n    main()\n' in text, name
+        assert re.search(r"^(def main\(|main = command\()", text, re.M), name
+        assert 'if __name__ == "__main__":\n    main()\n' in text, name
         assert f"`python scripts/{name}.py " in text  # what the help and the manual show
     assert {file.stem for file in (ROOT / "conf").glob("*.yaml")} <= set(cli.COMMANDS)
 

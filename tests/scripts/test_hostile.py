@@ -16,14 +16,14 @@ def test_no_admitted_class_takes_a_file(monkeypatch):
     import inspect
     import pkgutil
 
-    import trust
+    import settings
 
     import dynasindy
 
     seen = 0
     for found in pkgutil.walk_packages(dynasindy.__path__, "dynasindy."):
         for part in vars(importlib.import_module(found.name)).values():
-            if inspect.isclass(part) and part.__module__ == found.name and trust.is_part(part, "dynasindy"):
+            if inspect.isclass(part) and part.__module__ == found.name and settings.is_part(part, "dynasindy"):
                 seen += 1
                 given = set(inspect.signature(part.__init__).parameters)
                 assert not given & {"path", "file", "folder", "root", "command", "filename"}, part
@@ -32,7 +32,7 @@ def test_no_admitted_class_takes_a_file(monkeypatch):
 
 def test_every_part_of_the_groups_is_admitted(monkeypatch):
     monkeypatch.syspath_prepend(REPOSITORY / "scripts")
-    from trust import require_trusted
+    from settings import require_trusted
 
     groups = ("system", "task", "excitation", "world_model", "agent", "planning", "scenario")
     for group in groups:
@@ -45,7 +45,7 @@ def test_every_part_of_the_groups_is_admitted(monkeypatch):
 @pytest.mark.parametrize("text", ["17", "- 1", "a: [1", "true", "a: *b"])
 def test_settings_of_a_run_that_are_no_keys_and_values_are_damaged(tmp_path, monkeypatch, text):
     monkeypatch.syspath_prepend(REPOSITORY / "scripts")
-    from trust import read_config
+    from settings import read_config
 
     (tmp_path / "config.yaml").write_text(text)
     with pytest.raises(DamagedFileError):

@@ -79,17 +79,8 @@ def test_a_controller_that_cannot_be_written_is_not_said_to_be_there(tmp_path):
 LOGGED = {"data": {"_target_": "dynasindy.identification.identify.LoggedData", "path": "log.csv"}, "system": None}
 
 
-@pytest.mark.parametrize(
-    ("settings", "why"),
-    [
-        (LOGGED, "was planned from a log"),
-        (
-            {"rig": {"_target_": "dynasindy.rig.udp.connect"}},
-            "a session on a rig",
-        ),
-    ],
-)
-def test_a_run_without_a_simulated_plant_says_that_there_is_none_to_fly(tmp_path, settings, why):
+@pytest.mark.parametrize("settings", [LOGGED, {"rig": {"_target_": "dynasindy.rig.udp.connect"}}])
+def test_a_run_without_a_simulated_plant_says_that_there_is_none_to_fly(tmp_path, settings):
     settings = {**settings, "plant": {"outputs": ["theta"]}}
     (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(settings))
     (tmp_path / "metrics.json").write_text("{}")
@@ -97,7 +88,6 @@ def test_a_run_without_a_simulated_plant_says_that_there_is_none_to_fly(tmp_path
     command = [sys.executable, str(ROOT / "scripts" / "evaluate.py"), f"run={tmp_path}"]
     done = forked.run(command, env=environment, timeout=300)
     assert done.returncode == 2
-    assert why in done.stderr
     assert f"python scripts/check.py run={tmp_path}" in done.stderr
 
 
@@ -131,19 +121,19 @@ def test_the_log_of_a_rig_that_is_known_by_names_is_identified_with_its_ends_and
 
 def test_a_job_of_a_sweep_is_done_again_if_its_log_is_another_one(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "scripts")
-    import logged
+    import saved_run
 
     file, run = tmp_path / "log.csv", tmp_path / "run"
     run.mkdir()
     cfg = OmegaConf.create({"model": None, "data": {"path": str(file)}})
     file.write_text("time,y,u\n")
-    read = logged._digests(cfg)
+    read = saved_run._digests(cfg)
     assert read == {str(file): hashlib.sha256(b"time,y,u\n").hexdigest()}
     (run / "config.yaml").write_text("settings")
     (run / "origin.json").write_text(json.dumps({"command": "train.py", "read": read}))
-    assert logged._finished(run, "settings", read) is None  # it has forecast nothing yet
+    assert saved_run._finished(run, "settings", read) is False  # it has forecast nothing yet
     (run / "metrics.json").write_text('{"prediction": {"controlled": true}}')
-    assert logged._finished(run, "settings", read) is True
-    assert logged._finished(run, "other settings", read) is None
+    assert saved_run._finished(run, "settings", read) is True
+    assert saved_run._finished(run, "other settings", read) is False
     file.write_text("time,y,u\n0,1,2\n")
-    assert logged._finished(run, "settings", logged._digests(cfg)) is None
+    assert saved_run._finished(run, "settings", saved_run._digests(cfg)) is False

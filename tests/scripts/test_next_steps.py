@@ -13,9 +13,9 @@ ROOT = Path(__file__).resolve().parents[2]
 def steps(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "scripts")
     monkeypatch.setattr(sys, "argv", ["scripts/train.py"])
-    import next_steps
+    import cli
 
-    return next_steps
+    return cli
 
 
 def read(line):

@@ -25,6 +25,6 @@ def test_the_end_of_a_sweep_knows_the_failed_jobs(tmp_path):
         (tmp_path / job / "error.txt").touch()
     os.utime(tmp_path / "2" / "error.txt", (1e5, 1e5))  # of an earlier sweep
     done = forked.run([sys.executable, "-c", END, SCRIPTS, tmp_path])
-    first, last = done.stdout.splitlines()
+    first, *_, last = done.stdout.splitlines()
     assert (first, done.stderr) == (f"Sweep: {tmp_path}", "")
     assert last.startswith("1 jobs failed") and f"{tmp_path}/1/error.txt" in last
