@@ -154,6 +154,7 @@ LEFT_OUT = {
     "reference": "references by name",
     "label": "labels, of two values or a few that hardly change",
     "derived": "sums of multiples of other columns",
+    "function": "sums of products of other columns, or roots of such, as a power, a cost and a length are",
     "shifted": "samples of other columns a row earlier or later",
     "direct": "jumping with an input, as an acceleration does and no state can",
 }
@@ -473,8 +474,12 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.copies": "{count} rows are those before them once more, the first in line {line}; they were left out",
     "log.code": "{column} is {value:g} in {count} rows from line {line} on, far off all others; they count as missing",
     "log.spikes": "{state} leaves its course for {count} single samples, first in line {line}, which count as missing",
-    "log.unwrapped": "{state} jumps by {turn:.6g} {times} times and was unwrapped, as a controller has to do; a unit "
-    "that is none of an angle keeps it as it is",
+    "log.unwrapped": lambda state, turn, times, counts: (
+        f"{state} jumps by {turn:.6g} {times} times and was unwrapped, as a controller has to do"
+        + ("" if counts else "; a unit that is none of an angle keeps it as it is")
+    ),
+    "log.jumps": "{state} jumps {times} times by about its whole range, {size:.4g}, as what goes round does; if it "
+    "does, give the length of a turn, here 1 / scale: {states:data.states}",
     "log.long_gap": "{rows} rows in stretches of more than {longest:g} rows without {state} were left out",
     "log.gaps": "{count} gaps longer than 1.5 sampling times split the recording",
     "log.resampled": "{count} of {total} sampling times are not {dt:g} s; states were resampled by splines, inputs, "

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, combinations_with_replacement, product
 from pathlib import Path
 from typing import Any
 
@@ -228,6 +229,10 @@ def infer(
         _derived(left(), [moves[n] for n, reason in why.items() if reason in ("reference", "followed") and n in moves]),
     )
     leave("shifted", _shifted(left()))
+    leave(
+        "function",
+        _functions(left(), [moves[n] for n in moves if n in found or why.get(n) in ("reference", "followed")]),
+    )
     driven = [name for name, column in left().items() if _acts_at_once(column, [moves[n] for n in found if n in moves])]
     leave("direct", driven if len(driven) < len(left()) else ())
     if states is None:
@@ -250,6 +255,7 @@ def infer(
         "reference",
         "label",
         "derived",
+        "function",
         "shifted",
         "direct",
     ):
@@ -332,6 +338,40 @@ def _derived(columns: Mapping[str, Array], basis: Sequence[Array]) -> list[str]:
     return found
 
 
+def _functions(columns: Mapping[str, Array], basis: Sequence[Array]) -> list[str]:
+    """Return columns that are sums of a few products of others and of a basis, or roots of such, but for last digits.
+
+    Sums without a product are none: of an input that a controller makes of states any of these is one.
+    """
+    every = slice(None, None, 1 + max(map(len, columns.values()), default=0) // 2000)
+    x = np.array([column[every] for column in (*columns.values(), *basis)])
+    if not len(columns) or len(x) > WIDEST or x.shape[1] < 100:
+        return []
+    pairs = np.array([*combinations_with_replacement(range(len(x)), 2)]).T
+    terms, of = np.concatenate([x, x[pairs[0]] * x[pairs[1]]]), np.append(np.tile(np.arange(len(x)), (2, 1)), pairs, 1)
+    size, half, found = np.quantile(np.abs(x), 0.99, 1), 0.5 * np.array([*map(_last_digit, x)]), set[int]()
+    halves = np.append(half, (size[pairs] * half[pairs[::-1]]).sum(0))  # of the last digit, as rounding makes it
+    for k, power in product(reversed(range(len(columns))), (1, 2)):
+        free = np.flatnonzero(~np.isin(of, [k, *found]).any(0))
+        if power == 2 and x[k].min() < 0:
+            continue
+        table, y = terms[free], x[k] ** power
+        if power == 1:
+            table, y = table - table.mean(1, keepdims=True), y - y.mean()
+        norms, rest, few = np.linalg.norm(table, axis=1) + 1e-300, y, list[int]()
+        wide, own = np.ptp(np.quantile(y, [0.01, 0.99])), half[k] * (2 * size[k]) ** (power - 1)
+        while len(few) < min(FEW, len(free)):
+            few.append(int((np.abs(table @ rest) / norms).argmax()))
+            factors = np.linalg.lstsq(table[few].T, y, rcond=None)[0]
+            rest = y - factors @ table[few]
+            rounding = math.hypot(own, *factors * halves[free][few])
+            if rest.std() <= min(max(rounding, EXACT * wide), 100 * EXACT * wide):
+                of_products = factors * (free[few] >= len(x)) @ table[few]
+                found |= {k} if power == 2 or of_products.std() > 0.01 * wide else set()
+                break
+    return [name for k, name in enumerate(columns) if k in found]
+
+
 def _last_digit(column: Array) -> float:
     """Return the least distance between two numbers of a column, which its last digit makes, but for rounding."""
     steps = np.diff(np.unique(column))
@@ -346,6 +386,9 @@ REFERENCE = re.compile(
     re.I,
 )
 """What references are called, in several languages."""
+FEW, WIDEST, EXACT = 5, 40, 1e-5
+"""Products of which a column may be a sum, columns up to which those are looked for, and the part of its range by which
+it may differ, whatever its digits are."""
 HELD = 0.5
 """Share of the rows with the same number as before beyond which a column moves in steps."""
 

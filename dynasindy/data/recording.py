@@ -381,7 +381,7 @@ def _without_spikes(name: str, x: Array, lines: pd.Index, findings: list[Finding
 
 
 def unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Array:
-    """Return samples of an angle, or counts of an encoder, that go on where they jumped by a whole turn or range.
+    """Return samples of a place that goes round, which go on where they jumped by a whole turn or their range.
 
     Args:
         name: Name of the state.
@@ -391,37 +391,49 @@ def unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Arr
     """
     measured = np.isfinite(x)
     values = x[measured]
-    if len(values) < 2:
+    width, steps = float(np.ptp(values)) if len(values) else 0.0, np.diff(values)
+    inside = np.abs(values - values.min(initial=np.inf) - 0.5 * width) < 0.25 * width
+    if not width or not (np.abs(steps) > 0.5 * width).any() or inside.mean() <= 0.05:  # two levels are no angle
         return x
-    width, steps = float(np.ptp(values)), np.diff(values)
     turns = {"rad": (2 * np.pi,), "deg": (360.0,), "turn": (1.0,), "-": (2 * np.pi, 360.0)}.get(unit, ())
-    whole = bool((values == values.round()).all()) and unit in ("-", "counts", "count", "ticks")
-    far = steps[np.abs(steps) > 0.5 * width]
-    both = unit == "-" and len(far) and far.min() < 0 < far.max()  # what is emptied at once jumps one way
-    counts = _counts_of_turn(steps, np.diff(np.flatnonzero(measured)), width) if whole or both else ()
-    inside = np.abs(values - values.min() - 0.5 * width) < 0.25 * width
-    for turn in (*turns, *counts) if inside.mean() > 0.05 else ():  # two levels are no angle
+    for turn in (*turns, *_turns_seen(steps, np.diff(np.flatnonzero(measured)), width, unit)):
         jumps = np.abs(steps) > 0.5 * turn
         left = np.abs(steps - turn * np.round(steps / turn))
         begins = min(abs(values.min()), abs(values.min() + 0.5 * turn))  # from 0, or from minus half a turn
-        if not jumps.any() or not 0.9 * turn <= width <= 1.001 * turn or begins > 0.05 * turn:
+        if not jumps.any() or not 0.9 * turn <= width <= 1.001 * turn or (unit == "-" and begins > 0.05 * turn):
             continue
         if left.max() <= 0.25 * turn and left[jumps].max() <= 3 * np.abs(steps[~jumps]).max():
             found = x.copy()
             found[measured] = np.unwrap(values, period=turn)
-            findings.append(note("log.unwrapped", state=name, turn=turn, times=int(jumps.sum()), counts=turn in counts))
+            seen = {"times": int(jumps.sum()), "counts": turn not in turns}
+            findings.append(note("log.unwrapped", state=name, turn=turn, **seen))
             return found
+    jumps = np.abs(steps) > 0.8 * width
+    if 1 < jumps.sum() <= FAULTY * len(steps) and np.abs(steps[~jumps]).max() < 0.25 * width:
+        states = {name: {"name": name, "unit": "turn", "scale": float(f"{1 / width:.4g}")}}
+        findings.append(weak("log.jumps", state=name, size=width, times=int(jumps.sum()), states=states))
     return x
 
 
-def _counts_of_turn(steps: Array, rows: NDArray[np.int64], width: float) -> tuple[float, ...]:
-    """Return the counts of a turn, a power of two or of two digits, by what jumps lack to the steps beside them."""
-    slopes = np.pad(steps / rows, 1, mode="edge")
-    lacking = np.abs(0.5 * (slopes[:-2] + slopes[2:]) * rows - steps)[np.abs(steps) > 0.5 * width]
-    turn = float(np.median(lacking)) if len(lacking) else 0.0
-    usual = (2.0 ** round(math.log2(turn)), float(f"{turn:.2g}")) if turn > 0 else ()
-    sure = 0.01 if (steps == steps.round()).all() else 0.001  # 630 is no turn of 628.3 mm
-    return tuple(known for known in usual if abs(known - turn) < sure * turn)[:1]
+def _turns_seen(steps: Array, rows: NDArray[np.int64], width: float, unit: str) -> tuple[float, ...]:
+    """Return the length of a turn by what jumps lack to the steps beside them: a usual one, or one that is the same."""
+    slopes = np.pad(steps / rows, 2, mode="edge")  # as those around a jump tell, to the fourth order
+    beside = (4 * (slopes[1:-3] + slopes[3:-1]) - slopes[:-4] - slopes[4:]) * rows / 6
+    far = np.abs(steps) > 0.5 * width
+    lacking, both = np.abs(beside - steps)[far], steps[far].min() < 0 < steps[far].max()
+    turn = float(np.median(lacking))
+    spread, usual = float(np.median(np.abs(lacking - turn))), float(np.median(np.abs(beside[far])))
+    whole = bool((steps == steps.round()).all())
+    sure = 0.01 if whole else 0.001  # 630 is no turn of 628.3 mm
+    if unit in ("-", "counts", "count", "ticks") and (both or whole):  # what is emptied at once jumps one way
+        known = (2.0 ** round(math.log2(turn)), float(f"{turn:.2g}"))
+        if near := [each for each in known if abs(each - turn) < sure * turn]:
+            return (near[0],)
+    # What is set to 0 at an end lacks up to a step more or less, and a quarter of one in the median.
+    if len(lacking) < 3 or spread > 0.1 * usual:
+        return ()
+    digits = (float(f"{turn:.{k}g}") for k in range(1, 13))
+    return (next((each for each in digits if abs(each - turn) <= max(spread, 1e-3 * usual)), turn),)
 
 
 def _one_period(parts: Sequence[_Part], dt: float | None) -> float:

@@ -195,6 +195,33 @@ def test_columns_that_follow_from_others_and_labels_are_no_states(tmp_path):
     assert chosen.signature.state_names == ("angle_rad", "error")
 
 
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda angle, rate, wanted, u: 12 * u * rate,  # a power, which jumps with the input
+        lambda angle, rate, wanted, u: -(angle**2) - 0.1 * rate**2 - 0.01 * u**2,
+        lambda angle, rate, wanted, u: np.hypot(angle, rate),
+        lambda angle, rate, wanted, u: np.abs(wanted - angle),
+        lambda angle, rate, wanted, u: (wanted - angle) ** 2,
+    ],
+)
+@pytest.mark.parametrize("digits", [3, 6])
+def test_a_function_of_other_columns_is_no_state_wherever_it_stands(tmp_path, function, digits):
+    rng = np.random.default_rng(7)
+    angle, rate = (np.convolve(rng.normal(0, 1, ROWS + 19), np.ones(20) / 20, "valid") for _ in range(2))
+    wanted = np.where(np.arange(ROWS) // 100 % 2, 0.4, -0.3)
+    command = np.repeat(rng.uniform(-1, 1, ROWS // 20), 20)
+    columns = {"angle": angle, "rate": rate, "setpoint": wanted, "u": command}
+    columns = {name: column.round(digits) for name, column in columns.items()}
+    value = {"value": function(*columns.values()).round(digits)}
+    for order in (columns | value, value | columns):
+        found = recording(tmp_path / "l.csv", table(["time", *order], T, *order.values()))
+        assert found.signature.state_names == ("angle", "rate") and left_out(found)["function"] == ["value"]
+    free = {"value": (value["value"] + rng.normal(0, 0.01, ROWS)).round(digits)}
+    found = recording(tmp_path / "l.csv", table(["time", *columns, *free], T, *columns.values(), *free.values()))
+    assert found.signature.state_names == ("angle", "rate", "value")
+
+
 def test_samples_of_the_next_row_are_no_states_and_a_state_that_is_held_is_told(tmp_path):
     following = [np.append(column[1:], 5.0) for column in (ANGLE, RATE)]  # an episode ends with the log
     text = table(["time", "angle", "rate", "u", "next_angle", "next_rate"], T, ANGLE, RATE, COMMAND, *following)

@@ -24,7 +24,7 @@ def recording(path, headings, *columns, **settings):
     [("t_ms,angle_deg,rate_dps,u_pct", 180 / np.pi), ("t [ms],angle [deg],rate [deg/s],u [%]", 180 / np.pi)],
 )
 def test_units_at_the_end_of_a_name_count_as_those_in_brackets(tmp_path, headings, scale):
-    found = recording(tmp_path / "l.csv", headings, 1000 * T, scale * ANGLE, scale * COMMAND**2, 50 * COMMAND)
+    found = recording(tmp_path / "l.csv", headings, 1000 * T, scale * ANGLE, scale * np.sin(COMMAND), 50 * COMMAND)
     assert found.signature.state_names == ("angle", "rate") and found.signature.state_units == ("rad", "rad/s")
     assert found.transitions.dt == pytest.approx(0.01)
     assert found.transitions.x[:, 0].numpy() == pytest.approx(ANGLE[:-1], abs=1e-8)
@@ -72,7 +72,7 @@ def test_rows_of_two_streams_are_one_log(tmp_path):
 
 def test_rates_are_known_by_their_headings(tmp_path):
     known = {"a_rad": "w_rad_s"}
-    found = recording(tmp_path / "l.csv", "time,a_rad,w_rad_s,u", T, ANGLE, COMMAND**2, COMMAND)
+    found = recording(tmp_path / "l.csv", "time,a_rad,w_rad_s,u", T, ANGLE, np.sin(COMMAND), COMMAND)
     source = LoggedData(str(tmp_path / "l.csv"), known=known).load(None, None)
     assert source.signature.state_names == found.signature.state_names == ("a", "w")
     assert bool(source.training.x.isfinite().all())
@@ -112,14 +112,28 @@ def test_an_angle_that_wraps_goes_on(unit, turn, start):
     assert np.ptp(found[seen] - whole[seen]) < 1e-9 * turn
 
 
-@pytest.mark.parametrize("turn", [1000.0, 400.0, 1.0])
-def test_a_place_that_jumps_by_its_range_to_either_side_goes_on_whatever_its_unit(turn):
-    whole = turn * ANGLE / 3
-    assert np.allclose(unwrap_angle("q", whole % turn, "-", told := []), whole)
-    assert [each.values["turn"] for each in told] == [turn]
-    assert np.array_equal(
-        unwrap_angle("q", 0.6283 * whole % (0.6283 * turn), "-", told := []), 0.6283 * whole % (0.6283 * turn)
-    )
+@pytest.mark.parametrize("unit", ["-", "mm"])
+@pytest.mark.parametrize("turn", [1000.0, 400.0, 1.0, 437.5, 628.3])
+@pytest.mark.parametrize("start", [0.0, -0.5])
+def test_a_place_that_jumps_by_its_range_goes_on_whatever_its_unit_and_range(unit, turn, start):
+    for whole in (turn * ANGLE / 3, turn * (T + 0.2 * ANGLE)):  # to either side, or to one
+        inside = (whole - start * turn) % turn + start * turn
+        found = unwrap_angle("q", inside, unit, told := [])
+        assert [each.values["turn"] for each in told] == [turn]
+        assert np.ptp(found - whole) < 1e-9 * turn
+
+
+def test_what_is_emptied_from_row_to_row_stays_and_is_told_with_the_setting_that_unwraps_it():
+    level = np.zeros(ROWS)
+    for k in range(1, ROWS):
+        level[k] = level[k - 1] + 1.7 + 0.5 * np.sin(k / 30)
+        level[k] = 0.0 if level[k] > 100 else level[k]
+    told = []
+    assert np.array_equal(unwrap_angle("q", level, "mm", told), level)
+    (found,) = told
+    assert (found.code, found.severity, found.values["times"]) == ("log.jumps", "weak", 6)
+    column = found.values["states"]["q"]
+    assert np.ptp(np.diff(unwrap_angle("q", level * column["scale"], column["unit"], told))) < 0.03
 
 
 LEVEL = np.interp(T, [0, 1.5, 1.8, 3.3, 3.6, 4], [0, 355, 2, 355, 1, 90])  # of a tank that is emptied

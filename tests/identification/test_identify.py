@@ -89,7 +89,9 @@ def test_columns_of_a_log_of_no_plant_are_named_by_a_list_or_a_map(tmp_path):
 
 def test_a_log_without_a_map_has_the_names_of_the_plant_or_those_of_its_headings(tmp_path):
     data = simulated().training
-    rows = torch.cat([torch.arange(len(data)).unsqueeze(-1) * data.dt, data.x, data.x[:, :1] ** 2, data.u], -1).tolist()
+    rows = torch.cat(
+        [torch.arange(len(data)).unsqueeze(-1) * data.dt, data.x, data.x[:, :1].sinh(), data.u], -1
+    ).tolist()
     lines = ["time,theta,Omega,spare [m],u", *(",".join(map(repr, row)) for row in rows)]
     (tmp_path / "log.csv").write_text("\n".join(lines))
     named = LoggedData(str(tmp_path / "log.csv")).load(Pendulum(), EXCITATION).signature
