@@ -48,7 +48,7 @@ def clock_of(headings: Sequence[str], time: str = CLOCK) -> tuple[str, str]:
         time: Heading or name of the column; `time` if nobody named one.
     """
     if time in headings:
-        return time, parts_of(time)[1]
+        return time, parts_of(time)[1] or time * (time.lower() in SECONDS)
     if named := named_by(time, headings):
         return named[0] if len(named) == 1 else time, split_unit(named[0])[1]
     name, unit = split_unit(time)
@@ -117,7 +117,7 @@ def _possible_periods(at: Array, low: float, starts: NDArray[np.int64], within: 
             widest = int(widths.argmax())
             part = off[slice(*np.append(starts, len(at))[widest : widest + 2])]
             apart, beyond = int(part.argmax()) - int(part.argmin()), float(widths[widest]) - within
-            if beyond <= 1e-9:
+            if beyond <= 1e-9 + 4 * np.spacing(at[-1]):
                 break
             if apart * way <= 0:
                 return []

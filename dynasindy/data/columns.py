@@ -425,6 +425,7 @@ def find_clock(path: Path, time: str, named: Collection[str], dt: float | None) 
         return time
     growing = {heading: column for heading, column in table.moving().items() if grows(column)}
     columns = {h: column for h, column in growing.items() if parts_of(h)[1].lower() in SECONDS or date_unit(column)}
+    columns |= {h: c for h, c in growing.items() if h.lower() in (*SECONDS, "t") and _is_regular(c, 0.02)}
     columns |= {h: table.column(h) for h in table.dated if dt is None}
     found = [h for h, column in columns.items() if _is_regular(column)]
     if dt is not None and not found and not table.dated and len(growing) == 1:  # whole numbers, by one step
@@ -434,10 +435,10 @@ def find_clock(path: Path, time: str, named: Collection[str], dt: float | None) 
     return found[0] if len(found) == 1 else time
 
 
-def _is_regular(column: Array) -> bool:
+def _is_regular(column: Array, within: float = 0.5) -> bool:
     """Tell whether a column rises from row to row, by about the same in most of them."""
     steps = np.diff(column[np.isfinite(column)])
-    return bool(len(steps) and (steps > 0).all() and (np.abs(steps / np.median(steps) - 1) < 0.5).mean() > HELD)
+    return bool(len(steps) and (steps > 0).all() and (np.abs(steps / np.median(steps) - 1) < within).mean() > HELD)
 
 
 def keeps_time(column: Array, t: Array) -> bool:

@@ -38,6 +38,10 @@ THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d*)?")
 MEASURED = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)(?:\s+|(?![mkun]$))([^\d\s.,+-]\S*)")
 """A number with a unit, which alone and without a blank may be a milli or a kilo."""
 DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}(?:[T ].*)?")
+STAMP = re.compile(r"^\[?(\d[\d:., T-]+)(?:\]| ->)[ \t]+")
+"""What a terminal sets before each line: `14:03:21.020 -> ` or `[2025-11-02 14:03:21.020] `."""
+LABEL = re.compile(r"\b([A-Za-z_]\w*)[ \t]*[:=][ \t]*(?=[-+.\d])")
+"""The name of a value before it, as in `angle: 0.2, u=1`."""
 LOST = frozenset(("nan", "-nan", "n/a", "#n/a", "na", "<na>", "null", "none", "#na", "nil"))
 """Words for a value that was not measured."""
 UNIT_LABEL = re.compile(r"(?i)unit|einheit")
@@ -106,7 +110,20 @@ def _read_text(path: Path, file: TextIO) -> Raw:
         sample.append(line.rstrip("\r\n")[:WIDEST])
         plain += not re.match(r"\s*[#%]", line)
     file.seek(0)
+    (labels, often), *_ = Counter(tuple(LABEL.findall(line)) for line in sample or [""]).most_common(1)
+    labels = labels if len({*labels}) == len(labels) > 1 and 2 * often > len(sample) else ()
+    stamped = 2 * sum(map(bool, map(STAMP.match, sample))) > len(sample)
+    if labels or stamped:
+        lines = (LABEL.sub("", file.read()) if labels else file.read()).splitlines()
+        if stamped:
+            bare = [STAMP.sub("", line) for line in lines[:SAMPLE]]
+            first, between = (layout := _layout(path, bare)).first, layout.separator.replace(BLANKS, " ")
+            rows = (STAMP.sub(lambda found: found[1].replace(" ", "T") + between, line) for line in lines[first:])
+            lines = [*(between + line for line in bare[:first]), *rows]
+        file, sample = io.StringIO("\n".join(lines)), lines[:SAMPLE]
     separator, decimal, thousands, headings, width, first, findings = _layout(path, sample)
+    if labels and first < 2:
+        headings, findings = [*headings[: len(headings) - len(labels)], *labels], []
 
     def too_wide(line: object, count: object) -> ValueError:
         return ValueError(
@@ -246,6 +263,9 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     differ = [k for k, row in enumerate(head) if _differ(row, common) and not (k and _are_units(row, head[k - 1]))]
     place = differ[-1] if differ and (differ[-1] or _differ(head[0], common)) else first - 1
     headings = head[place]  # a line such as `Smp, Smp, Smp` is none of headings
+    if len(headings) == common - 1 and (split or lines[filled[-1]][0] == '"'):
+        named = all(row[-1] and (row[0].isdigit() or not NUMBER.fullmatch(row[0])) for row in lower)
+        headings = ["", *headings] if named else headings  # rows have names, as numbers or dates
     labels = [bool(row and UNIT_LABEL.search(row[0])) for row in head]
     head = [["", *row[1:], *[""] * (len(headings) - len(row))] if label else row for label, row in zip(labels, head)]
     labelled = (row for label, row in zip(labels, head) if label)

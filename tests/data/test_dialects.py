@@ -483,3 +483,42 @@ def test_a_state_that_an_exact_feedback_was_made_of_stays_one(tmp_path, referenc
     )
     found = LoggedData(str(path)).recording()
     assert (found.signature.state_names, found.signature.input_names) == (("place", "speed"), ("u",))
+
+
+@pytest.mark.parametrize("stamp", ["12:00:{:06.3f} -> ", "[2024-05-31 12:00:{:06.3f}] "])
+@pytest.mark.parametrize("separator", [",", "\t", " "])
+@pytest.mark.parametrize("own", [False, True])
+def test_what_a_terminal_sets_before_each_line_is_the_time_unless_the_device_has_its_own(
+    tmp_path, stamp, separator, own
+):
+    head, *rows = table(
+        [*["t_ms"] * own, "angle", "rate", "u"], *[1000 * T] * own, ANGLE, RATE, COMMAND, separator=separator
+    ).splitlines()
+    late = T + 0.003 * own * (np.arange(ROWS) % 3)
+    lines = [stamp.format(0) + "ready", stamp.format(0) + head]
+    lines += [stamp.format(t) + row for t, row in zip(late, rows, strict=True)]
+    require_truth(recording(tmp_path / "l.txt", "\n".join(lines)))
+
+
+@pytest.mark.parametrize("form", ["angle:{:.6f},rate:{:.6f},u:{:.6f}", "angle = {:.6f} rate = {:.6f} u = {:.6f}"])
+def test_names_before_each_value_are_headings(tmp_path, form):
+    rows = [f"t={t:.2f} " + form.format(*row) for t, *row in zip(T, ANGLE, RATE, COMMAND, strict=True)]
+    require_truth(recording(tmp_path / "l.txt", "\n".join(row.replace(" ", "," * ("," in row) or " ") for row in rows)))
+    rows = [f"12:00:{t:06.3f} -> " + form.format(*row) for t, *row in zip(T, ANGLE, RATE, COMMAND, strict=True)]
+    require_truth(recording(tmp_path / "l.txt", "\n".join(rows)))
+
+
+def test_rows_may_have_names_without_a_heading(tmp_path):
+    frame = pd.DataFrame({"time": T, "angle": ANGLE.round(6), "rate": RATE.round(6), "u": COMMAND})
+    for separator in (" ", ","):  # as of write.table
+        head, *rows = table([*frame], *frame.to_numpy().T, separator=separator).splitlines()
+        named = [f'"{k + 1}"{separator}{row}' for k, row in enumerate(rows)]
+        require_truth(recording(tmp_path / "l.txt", "\n".join([head, *named])))
+    require_truth(recording(tmp_path / "l.txt", frame.to_string()))
+
+
+@pytest.mark.parametrize(("name", "scale"), [("s", 1), ("T", 1), ("ms", 1000), ("h", 1 / 3600), ("min", 1 / 60)])
+def test_a_unit_alone_is_the_name_of_a_time_that_goes_evenly(tmp_path, name, scale):
+    stamps = [f"{t * scale:.9f}" for t in T]
+    found = recording(tmp_path / "l.csv", table([name, "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND))
+    assert found.transitions.dt == pytest.approx(0.01, rel=1e-4) and found.signature.state_names == ("angle", "rate")
