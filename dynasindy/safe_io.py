@@ -79,19 +79,30 @@ def error_text(error: BaseException, names: Sequence[str] = ()) -> str:
     """Return what an error says; of an argument that its annotation forbids, which of `names` and what is allowed."""
     if not isinstance(error, ValidationError):
         return str(error)
-    first = error.errors()[0]
+    first = min(error.errors(), key=lambda each: each["type"].startswith("missing"))
     steps = [names[int(k)] if k in range(len(names)) else k for k in first["loc"][:1]] + [*first["loc"][1:]]
     place, told = ".".join(map(str, steps)), first["msg"].removeprefix("Value error, ")
-    value = " ".join(str(first["input"]).split())[:40]
-    return f"{error.title} has {place}={value}; {told}: correct it" if place else told
+    value, owner = " ".join(str(first["input"]).split())[:40], error.title.removesuffix(".__init__")
+    if first["type"].startswith("missing"):
+        return f"{owner} lacks {place}; give it"
+    return f"{owner} has {place}={value}; {told}: correct it" if place else told
 
 
 def checked(function: Callable[P, T]) -> Callable[P, T]:
     """Return a function whose arguments are checked by their annotations; a wrong one costs a line."""
-    checking = validate_call(config={"arbitrary_types_allowed": True})(function)
-    names = [*signature(function).parameters]
+    return _in_a_line(
+        validate_call(config={"arbitrary_types_allowed": True})(function), [*signature(function).parameters]
+    )
 
-    @wraps(function)
+
+def checked_class(made: type[T]) -> type[T]:
+    """Return a dataclass of pydantic, a wrong field of which costs a line."""
+    made.__init__ = _in_a_line(made.__init__, [*signature(made).parameters])  # type: ignore[method-assign]
+    return made
+
+
+def _in_a_line(checking: Callable[P, T], names: Sequence[str]) -> Callable[P, T]:
+    @wraps(checking)
     def _called(*args: P.args, **keywords: P.kwargs) -> T:
         try:
             return checking(*args, **keywords)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -199,7 +199,8 @@ def excite(
         ValueError: A setting is not allowed.
     """
     data = Simulated(dt=dt, noise=noise, sensors=sensors, seed=seed)
-    return data.load(plant, partial(signal, duration=duration, amplitude=amplitude, offset=offset, **settings))
+    found = data.load(plant, partial(signal, duration=duration, amplitude=amplitude, offset=offset, **settings))
+    return replace(found, exact=False)  # nothing is known but what was measured, as of a log
 
 
 def _rows(targets: Targets, outputs: Sequence[str]) -> list[list[float]]:

@@ -71,7 +71,7 @@ from dynasindy.safe_io import checked
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sensing.offset import acting
 from dynasindy.sentences import line, lines
-from dynasindy.sindy import SindyModel
+from dynasindy.sindy import Refinement, SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.sindy.shooting import STABLE
@@ -175,8 +175,8 @@ def _refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> 
         member.library, member.coefficients = library, coefficients.clone()
         member.constraints = replace(model.constraints, free=used, offset=given)
         member.initial, member.initial_delay = coefficients.clone(), 0.0
-        if member.refinement is not None:
-            member.refinement = replace(member.refinement, longest_delay=0.0)
+        # A file of an earlier version does not tell how the model was fitted.
+        member.refinement = replace(model.refinement or Refinement("auto"), longest_delay=0.0)
         with reporting_as(f"fit to {name}" if stretches == 1 else f"fit to part {k + 1} of {stretches} of {name}"):
             member.fit(late.select((places >= k * length) & (places < (k + 1) * length)))
         member.delay = model.delay

@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from dynasindy.excitation import Aprbs
+from dynasindy.planning import GradientPlanning
 from dynasindy.safe_io import (
     DamagedFileError,
     append_rows,
@@ -19,6 +21,8 @@ from dynasindy.safe_io import (
     remove_leftovers,
     write_json,
 )
+from dynasindy.sensing import Channel
+from dynasindy.sindy import Refinement
 
 
 def test_text_records_and_tables_are_read_as_they_stand(tmp_path):
@@ -147,3 +151,19 @@ def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path):
         (tmp_path / name).touch()
     remove_leftovers(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == [".mine.tmp", "0123456789abcdef.tmp"]
+
+
+@pytest.mark.parametrize(
+    ("made", "named"),
+    [
+        (lambda: GradientPlanning(updates="x"), "updates"),
+        (lambda: GradientPlanning(), "env"),
+        (lambda: Channel("x"), "resolution"),
+        (lambda: Refinement(rounds="x"), "rounds"),
+        (lambda: Refinement(rows=3), "rows"),
+        (lambda: Aprbs(1, duration="x"), "duration"),
+    ],
+)
+def test_what_is_built_of_wrong_arguments_names_one_of_them_in_a_line(made, named):
+    with pytest.raises(ValueError, match=rf"^\w+ (has {named}\b|lacks {named};).*$"):
+        made()

@@ -96,6 +96,15 @@ def test_the_controller_holds_the_plant_that_the_log_is_of(log, model, tmp_path)
             assert abs(float(x[0]) - 0.4) < 0.03
 
 
+def test_a_model_out_of_its_file_gets_the_same_verdict(log, model, tmp_path):
+    """The forecast fits it to parts of the log again, by the settings that it was fitted with."""
+    model.save(tmp_path / "model.json")
+    models = model, SindyModel.load(tmp_path / "model.json")
+    first, second = (forecast(proportional(model), each, log, STILL) for each in models)
+    assert len(first.flights) == 3 and first.flights[0] != first.flights[1]  # by what each part of the log says
+    assert second.record() == first.record()
+
+
 def test_what_is_under_way_is_told_and_nothing_is_printed(exact, capfd):
     heard = []
     with listening(heard.append):
@@ -195,6 +204,11 @@ def test_exact_states_need_an_observer_where_inputs_are_late(exact, late):
 
 def held_with(integral, model):
     """Return where the pendulum rests that is driven by a constant input for 0.19 rad, though 0.2 rad are asked for."""
+    return forecast(proportional(model, integral), model, None, STILL)
+
+
+def proportional(model, integral=None):
+    """Return a proportional controller of the pendulum."""
 
     def policy(tensordict):
         error = tensordict["observation"][..., task.error_columns] * task.error_scale
@@ -202,8 +216,7 @@ def held_with(integral, model):
         return tensordict.set("action", 0.5 * error * 1.2 - 0.2 * rate)
 
     task = dynasindy.workbench.tracking_task(model, {"theta": (-0.6, 0.6)})
-    controller = Controller(policy, ControlSetup(task, 0.05), integral=integral)
-    return forecast(controller, model, None, STILL)
+    return Controller(policy, ControlSetup(task, 0.05), integral=integral)
 
 
 def test_the_prediction_has_the_controllers_integral_action(model):

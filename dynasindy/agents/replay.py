@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from typing import Annotated, Any
 
 import torch
-from pydantic import Field, validate_call
+from pydantic import Field
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
 
+from dynasindy.safe_io import checked
 from dynasindy.systems import Diverged
 
 LEARN_KEYS: tuple[NestedKey, ...] = (
@@ -118,7 +119,7 @@ class DynaReplay:
         ValueError: a size is not positive, or `real_ratio` is not allowed.
     """
 
-    @validate_call(config={"arbitrary_types_allowed": True})
+    @checked
     def __init__(
         self,
         capacity: Rows,

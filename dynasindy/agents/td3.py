@@ -35,12 +35,14 @@ from dynasindy.agents.loss import GradientSteps, TD3Loss
 from dynasindy.agents.machine import best_steps
 from dynasindy.agents.networks import MLP, actor
 from dynasindy.limits import Positive, check_memory
+from dynasindy.safe_io import checked_class
 from dynasindy.systems import Diverged
 
 CHECK_EVERY = 100
 """Updates between two looks at the losses on a device that works apart from the CPU, which each look would halt."""
 
 
+@checked_class
 @dataclass(frozen=True, config={"strict": True, "allow_inf_nan": False, "extra": "forbid"})
 class Hyperparameters:
     """Everything that can be set about the agent; the defaults are the paper's, then TD3's.

@@ -31,10 +31,12 @@ from dynasindy.data.headings import (
 )
 from dynasindy.data.table import COUNTED, Table, counts, grows, read_columns
 from dynasindy.findings import Finding, LogError, note, weak
+from dynasindy.safe_io import checked_class
 
 Array = NDArray[np.float64]
 
 
+@checked_class
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
 class Column:
     """Say where a state or an input stands in the file.

@@ -20,6 +20,7 @@ from dynasindy.excitation import Aprbs, Excitation
 from dynasindy.findings import Finding, note
 from dynasindy.identification.source import PERIOD, DataSource, Source
 from dynasindy.limits import Positive
+from dynasindy.safe_io import checked_class
 from dynasindy.sensing import Sensors
 from dynasindy.systems.base import System
 from dynasindy.systems.checks import require_plant
@@ -39,6 +40,7 @@ LONGEST = 1e8
 """Steps of a simulated plant, beyond which a recording would take days."""
 
 
+@checked_class
 @dataclass(frozen=True, config={"extra": "forbid"})
 class Simulated(DataSource):
     """Take data from a simulated plant.
@@ -124,7 +126,8 @@ class Simulated(DataSource):
         if self.sensors is not None:
             generator = torch.Generator().manual_seed(self.seed)
             training = observed(training, partial(self.sensors.read, signature=system.signature, rng=generator))
-        return Source(system.signature, training, validation, tuple(findings))
+        exact = self.sensors is None and not self.noise
+        return Source(system.signature, training, validation, tuple(findings), exact=exact)
 
     def _open_loop(
         self, system: System, signal: Excitation, unseen: Excitation, dt: float, limits: Tensor

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
-from pydantic import Field, validate_call
+from pydantic import Field
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
@@ -17,6 +17,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import _make_compatible_policy
 
 from dynasindy.limits import Positive, check_memory
+from dynasindy.safe_io import checked
 from dynasindy.systems import System, integrate, repeat_steps, simulate
 from dynasindy.systems.checks import rates_at_start, require_plant
 from dynasindy.systems.integrators import plain
@@ -59,7 +60,7 @@ class ControlEnv(EnvBase):
     left_beyond = math.inf
     """Ranges of a state at whose end an episode is over and stays; a model is asked about where it runs away."""
 
-    @validate_call(config={"arbitrary_types_allowed": True})
+    @checked
     def __init__(
         self,
         system: System,

@@ -20,7 +20,7 @@ from pydantic.dataclasses import dataclass
 
 from dynasindy.evaluation.statistics import OVER_SEEDS, markdown, over_seeds, overrides
 from dynasindy.limits import Positive
-from dynasindy.safe_io import DamagedFileError, read_cells, read_json, reading, write_text
+from dynasindy.safe_io import DamagedFileError, checked_class, read_cells, read_json, reading, write_text
 
 KEY = ["system", "experiment", "setting"]
 TEXT = {*KEY, "commit"}
@@ -38,6 +38,7 @@ SUMMARY = {
 """Columns of the readable table, and their words."""
 
 
+@checked_class
 @dataclass(frozen=True, config={"extra": "forbid"})
 class Level:
     """The level that a setting has to reach, fixed before the runs.

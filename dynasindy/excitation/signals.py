@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from typing import Annotated, TypedDict, Unpack
 
 import torch
-from pydantic import Field, SkipValidation, validate_call
+from pydantic import Field, SkipValidation
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from dynasindy.limits import check_memory
+from dynasindy.safe_io import checked
 
 Levels = Annotated[float | Sequence[float], SkipValidation]  # arrays, too
 Share = Annotated[float, Field(gt=0, le=1)]
@@ -53,7 +54,7 @@ class Excitation(TensorDictModuleBase, ABC):
     amplitude: Tensor
     offset: Tensor
 
-    @validate_call
+    @checked
     def __init__(
         self,
         n_u: int,

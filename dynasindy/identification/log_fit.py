@@ -144,8 +144,9 @@ def fit_log(model: SindyModel, source: Source) -> LogFit:
     """Fit a model to data; of a log the one of many candidates that predicts best what their fits have not seen.
 
     Candidates are tried where the refinement of the model is left to the data (`auto`); of data of a simulated plant,
-    where the library suits any plant. Of such a library, rates, hidden states and more functions are candidates, too.
-    Of any other refinement rates alone are, where nobody said what is known. A model with `known={}` gets none.
+    where the library suits any plant and samples are not the states themselves. Of such a library, rates, hidden states
+    and more functions are candidates, too. Of any other refinement rates alone are, where nobody said what is known. A
+    model with `known={}` gets none.
 
     Args:
         model: what to fit.
@@ -159,7 +160,7 @@ def fit_log(model: SindyModel, source: Source) -> LogFit:
     report_progress("fit")
     settings = model.refinement
     free = settings is not None and settings.method == "auto" and settings.error is None
-    unknown = source.logged or _builder_of(model) is not None
+    unknown = source.logged or (not source.exact and _builder_of(model) is not None)
     searched = settings is not None and unknown and model.step is None and (free or model.given_known is None)
     if settings is not None and searched and (folds := HoldOut.folds(source)):
         search = _Search(model, settings, source, folds)

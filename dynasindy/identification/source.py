@@ -50,6 +50,7 @@ class Source:
         validation: transitions that the fit does not see; there may be none.
         findings: what was decided when they were read.
         logged: whether they are a log, so that nothing is known of the plant but what was measured.
+        exact: whether its samples are the states themselves, as training has them of a plant without sensors.
     """
 
     signature: Signature
@@ -57,6 +58,7 @@ class Source:
     validation: Transitions
     findings: tuple[Finding, ...] = ()
     logged: bool = False
+    exact: bool = False
 
     @classmethod
     def of(cls, log: Recording, share: float = VALIDATION_SHARE) -> Source:

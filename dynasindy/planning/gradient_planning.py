@@ -14,7 +14,7 @@ from dataclasses import asdict, replace
 from typing import Annotated, Any
 
 import torch
-from pydantic import Field, validate_call
+from pydantic import Field
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
@@ -27,6 +27,7 @@ from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choo
 from dynasindy.planning.randomization import InputStrength
 from dynasindy.planning.rollout import Network, Rows, Window, backward, imagine
 from dynasindy.progress import report_progress
+from dynasindy.safe_io import checked
 from dynasindy.sentences import setting
 from dynasindy.systems import Diverged, System
 from dynasindy.tasks import Task, Tracking
@@ -153,7 +154,7 @@ class GradientPlanning(Planner):
     # The imagined cost has the task's weights, is linear beyond `width`, and has no bonus; without a width it is the
     # task's own.
 
-    @validate_call(config={"arbitrary_types_allowed": True})
+    @checked
     def __init__(
         self,
         env: ControlEnv,

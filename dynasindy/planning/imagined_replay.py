@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from pydantic import validate_call
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
@@ -23,6 +22,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, Positive, check_memory
 from dynasindy.planning.gate import Bound
 from dynasindy.progress import report_progress
+from dynasindy.safe_io import checked
 from dynasindy.sentences import setting
 from dynasindy.systems import Diverged
 
@@ -184,7 +184,7 @@ class ImaginedReplay(Planner):
     # Departure: the paper adds imagined transitions to one buffer for good; here those of the newest `generations`
     # of the model are kept, since the models that made the others are gone.
 
-    @validate_call(config={"arbitrary_types_allowed": True})
+    @checked
     def __init__(
         self,
         env: ControlEnv,

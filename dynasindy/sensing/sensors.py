@@ -12,6 +12,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor
 
+from dynasindy.safe_io import checked_class
 from dynasindy.systems import Signature
 
 LONGEST = 10
@@ -19,6 +20,7 @@ LONGEST = 10
 Periods = Annotated[int, Field(ge=0, le=LONGEST)]
 
 
+@checked_class
 @dataclass(frozen=True, config={"allow_inf_nan": False, "extra": "forbid"})
 class Channel:
     """One measured state.
@@ -40,6 +42,7 @@ class Channel:
         return self.noise**2 + self.resolution**2 / 12
 
 
+@checked_class
 @dataclass(frozen=True, config={"extra": "forbid"})
 class Sensors:
     """What lies between the real plant and all that learns from it or controls it.

@@ -430,7 +430,8 @@ class SindyModel(WorldModel):
     def load(cls, path: str | Path) -> SindyModel:
         """Read a model that `save` wrote; it predicts as the saved one did, to the last digit.
 
-        The file holds no settings: `regression` and `refinement` of a later fit are set on what is returned.
+        Of the settings the file holds the `refinement`, with which `forecast` fits the model to other data; the
+        `regression` of a later fit is set on what is returned.
 
         Raises:
             FileNotFoundError: the file does not exist.
@@ -459,6 +460,7 @@ class SindyModel(WorldModel):
             "linear_inputs": list(self.linear_inputs),
             "step": library.step,
             "uncertainty": self.covariance and _uncertainty(library, *self.covariance),
+            "refinement": self.refinement and asdict(self.refinement),
         }
         data |= {name: value for name, value in optional.items() if value}
         if not bool(self.constraints.free.all()):
@@ -718,6 +720,8 @@ def _covariance(library: Library, data: dict[str, Any] | None) -> Covariance | N
 
 def _read(data: dict[str, Any]) -> SindyModel:
     words, step, delay = data["signature"], data.get("step"), data.get("delay", 0.0)
+    if isinstance(step, bool) or isinstance(delay, bool):
+        raise TypeError(f"its delay is {delay} and its step {step}; allowed are numbers")
     if not all(isinstance(given, list) for given in words.values()) or len(words["state_names"]) > LARGEST_SYSTEM:
         raise TypeError(f"its signature is no lists of names, units and ranges of up to {LARGEST_SYSTEM} states")
     if not 0 <= delay <= LONGEST or (step is not None and not 0 < step <= LONGEST):
@@ -732,6 +736,7 @@ def _read(data: dict[str, Any]) -> SindyModel:
             found[place[name] if name in place else library.index(name), i] = value
     model.set_coefficients(found)
     model.delay, model.covariance = float(delay), _covariance(library, data.get("uncertainty"))
+    model.refinement = Refinement(**data["refinement"]) if data.get("refinement") else None
     numbers = [found, model.constraints.offset, *([model.covariance.factor] if model.covariance else [])]
     if not all(bool(each.isfinite().all()) for each in numbers):
         raise TypeError("some of its numbers are not finite")

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from dynasindy.findings import Finding, note, weak
 from dynasindy.limits import Count, Positive
+from dynasindy.safe_io import checked_class
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.covariance import of_rates
 from dynasindy.sindy.delay import unexplained
@@ -61,6 +62,7 @@ Model = tuple[Library, Tensor]
 """A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
 
+@checked_class
 @pydantic.dataclasses.dataclass(frozen=True, config={"extra": "forbid"})
 class Refinement:
     """Settings of the refinement.
@@ -115,7 +117,7 @@ class Refinement:
             recording: what to refine on.
             late: delay of the inputs of the first estimate [s], at which the fit begins; a regression is to find it
                 where this is None.
-            general: whether the library is one for any plant, of which the method `integral` takes what it needs where
+            general: whether the library is one for any plant, of which fits to exact samples take what they need where
                 all states were measured.
         """
         longest, seconds = self.longest_delay, len(recording.measured) * recording.measured.dt
@@ -148,7 +150,10 @@ class _Fit:
             first = self._regressed(first, delay)
             delay = self._regressed_delay(delay, first)
         found = self._regressed(first, delay)
-        if self.general and wanted == "integral" and not bool(data.x.isnan().any() | data.x_next.isnan().any()):
+        exact = wanted in ("integral", "one_step") or (
+            wanted == "auto" and not looks_noisy(*found, self.recording.guess)
+        )
+        if self.general and exact and not bool(data.x.isnan().any() | data.x_next.isnan().any()):
             # Samples at the edge of what was seen tell which functions are needed.
             seen, given, ranks = self._brief.delayed(delay), self.constraints, [f.complexity for f in found[0].features]
             rows = seen.rows(found[0], generate(*found))

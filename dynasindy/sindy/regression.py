@@ -11,6 +11,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor
 
+from dynasindy.safe_io import checked_class
 from dynasindy.systems.steps import time_step_of
 from dynasindy.systems.transitions import Transitions
 
@@ -234,6 +235,7 @@ class TriangularFactor:
         return (self.targets() - self.theta() @ coefficients).norm(dim=0)
 
 
+@checked_class
 @dataclass(frozen=True, config={"extra": "forbid"})
 class Regression:
     """Settings of a sparse regression.

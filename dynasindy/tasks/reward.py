@@ -10,6 +10,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor
 
+from dynasindy.safe_io import checked_class
+
 ERROR_SHAPES: dict[str, Callable[[Tensor, float], Tensor]] = {
     "quadratic": lambda error, width: error * error,
     "linear": lambda error, width: error * error / (width + error.abs()),
@@ -21,6 +23,7 @@ ERROR_SHAPES: dict[str, Callable[[Tensor, float], Tensor]] = {
 Weight = Annotated[float, Field(ge=0)]
 
 
+@checked_class
 @dataclass(frozen=True, config={"allow_inf_nan": False, "extra": "forbid"})
 class TrackingReward:
     """reward = -(a e_a^2 + b e_p^2) - c (dOmega_a^2 + dOmega_p^2) + d   (paper, reward function).

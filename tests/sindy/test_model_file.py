@@ -106,6 +106,9 @@ HOSTILE = {
     "constraints": put({"alpha_a": {"free": [], "given": {"u_p": float("nan")}}}, "constraints"),
     "no row of a state": lambda data: data["coefficients"].pop("omega_p"),
     "negative delay": put(-0.01, "delay"),
+    "delay that is no number": put(True, "delay"),
+    "step that is no number": put(True, "step"),
+    "settings of a fit": put({"method": CALL}, "refinement"),
 }
 
 
