@@ -32,7 +32,7 @@ def main(cfg: Any) -> None:
         build(signature=system.signature)  # refuses functions before the plant moves
     report_progress("data")
     source = load_data(cfg)
-    model = build(signature=source.signature)
+    model = instantiate(cfg.world_model, _convert_="all")(signature=source.signature)
     findings = before_fit(model, source)
     say(*lines(findings))
     found = identify_source(model, source)
@@ -49,12 +49,18 @@ def main(cfg: Any) -> None:
 def load_data(cfg: Any) -> Source:
     """Return the data of a config."""
     from hydra.utils import instantiate
+    from omegaconf import OmegaConf
 
     from dynasindy.identification.identify import LoggedData
+    from dynasindy.identification.source import named_rates
 
     data, system = (instantiate(cfg[name], _convert_="all") for name in ("data", "system"))
     excitation = None if isinstance(data, LoggedData) else instantiate(cfg.excitation, _convert_="all")
     source: Source = data.load(system, excitation)
+    library = OmegaConf.to_object(cfg.world_model).get("library")
+    if source.logged and (rates := named_rates(library, source.signature)):
+        OmegaConf.update(cfg, "plant.known", rates, force_add=True)  # beside those that are known
+        source = source.with_rates(rates)
     return source
 
 

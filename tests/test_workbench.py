@@ -310,9 +310,10 @@ def angle_alone(source):
     return Source.of(Recording(replace(t, x=t.x[:, :1], x_next=t.x_next[:, :1]), signature))
 
 
-def test_a_rate_that_a_log_lacks_is_added_and_estimated(exact):
+@pytest.mark.parametrize("library", [(), (["u", "theta", "theta_rate", "sin(theta)"],)], ids=["found", "named"])
+def test_a_rate_that_a_log_lacks_is_added_and_estimated(exact, library):
     """theta'' = 12 u - 9.81 sin(theta) - 0.5 theta', as the pendulum's constants say, out of theta alone."""
-    model = dynasindy.identify(angle_alone(exact))
+    model = dynasindy.identify(angle_alone(exact), *library)
     assert model.signature.state_names == ("theta", "theta_rate")
     theta, rate, u = (exact.training.x[:, 0], exact.training.x[:, 1], exact.training.u[:, 0])
     with torch.no_grad():

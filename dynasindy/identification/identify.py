@@ -22,7 +22,7 @@ from dynasindy.identification import verdict
 from dynasindy.identification.forecast_errors import LOST, ForecastErrors, forecast_errors, with_start_states
 from dynasindy.identification.log_fit import LogFit, fit_log
 from dynasindy.identification.recording_diagnostics import low_signal_findings, low_signal_states
-from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source, rates_of
+from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source, named_rates, rates_of
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import checked, write_json, write_text
 from dynasindy.sentences import error_of, line, lines, verdict_lines
@@ -173,7 +173,8 @@ def identify(
         log: What `read` returned.
         library: Candidate functions: a name of `dynasindy.sindy.named_libraries.NAMED`, or functions in words.
             `auto_rig` is quadratic polynomials and sines of states in rad, or for angles in rad and their rates in
-            rad/s the functions of mechanics, and dry friction of every rate.
+            rad/s the functions of mechanics, and dry friction of every rate. Words may name `angle_rate`, the rate of
+            `angle`, though the log does not have it.
         known: Equations that are known, such as `{"angle": "rate"}`: the state's rate is that function. A rate that
             the log does not have is estimated with the model. The fit may add others, as `angle_rate`, where it
             predicts better with them; of `{}` it adds none.
@@ -195,6 +196,8 @@ def identify(
     refinement = Refinement(method=method, longest_delay=longest_delay, seconds=seconds)
     regression = Regression("bic", tolerance=1e-4)
     build = partial(SindyModel, library=library, regression=regression, refinement=refinement, time=time)
+    if named := named_rates(library, log.signature):
+        known = {**named, **(known or {})}
     rates = dict(known or {})
     source = log.with_rates(rates)
     columns = {name: Column(name) for name in log.signature.state_names}

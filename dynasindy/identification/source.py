@@ -210,6 +210,18 @@ def _numbers(signature: Signature) -> NDArray[np.float64]:
     return np.concatenate([both, signature.in_own_units(limits.T).T], -1)
 
 
+def named_rates(library: object, signature: Signature) -> dict[str, str]:
+    """Return the rates that functions in words name and that are no states yet, by their states.
+
+    Args:
+        library: Functions in words; anything else names none.
+        signature: Names of states and inputs.
+    """
+    words = set(re.findall(r"\w+", " ".join(map(str, library)))) if isinstance(library, list | tuple) else set()
+    rates = {name: rate_name(name, signature) for name in signature.state_names}
+    return {name: rate for name, rate in rates.items() if rate in words}
+
+
 def rate_name(name: str, signature: Signature) -> str:
     """Return a name that functions and words of the command line can hold, and that no state or input has."""
     rate = re.sub(r"\W", "_", name) + "_rate"

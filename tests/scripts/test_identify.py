@@ -165,3 +165,14 @@ def test_a_table_with_the_headings_of_a_run_is_a_log(tmp_path):
     model = json.loads((tmp_path / "run/model.json").read_text())
     assert tuple(model["signature"]["state_names"]) == signature.state_names
     assert "alpha_a' = Omega_a" in done.stdout and "does not predict" not in done.stdout
+
+
+def test_a_rate_that_the_tool_named_may_be_named_in_a_library(tmp_path, write_log):
+    data = record_plant(Pendulum(), Aprbs(1, duration=6, dt=0.05, amplitude=[0.8], seed=0).samples(0.02), 0.02)
+    path = write_log(tmp_path / "log.csv", ["theta [rad]", "u"], data.x[:, :1], data.u)
+    words = f"data=csv data.path={path} refinement=trajectory longest_delay=0 formats=[]".split()
+    done = _run(tmp_path / "run", *words, "plant.library=[theta_rate,u,sin(theta)]")
+    assert done.returncode == 0, done.stderr
+    model = SindyModel.load(tmp_path / "run" / "model.json")
+    assert model.signature.state_names == ("theta", "theta_rate")
+    assert float(model.coefficients[2, 1]) == pytest.approx(-9.81, rel=0.02)
