@@ -168,7 +168,7 @@ def test_a_table_with_the_headings_of_a_run_is_a_log(tmp_path):
 
 
 def test_a_rate_that_the_tool_named_may_be_named_in_a_library(tmp_path, write_log):
-    data = record_plant(Pendulum(), Aprbs(1, duration=6, dt=0.05, amplitude=[0.8], seed=0).samples(0.02), 0.02)
+    data = record_plant(Pendulum(), Aprbs(1, duration=6, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
     path = write_log(tmp_path / "log.csv", ["theta [rad]", "u"], data.x[:, :1], data.u)
     words = f"data=csv data.path={path} refinement=trajectory longest_delay=0 formats=[]".split()
     done = _run(tmp_path / "run", *words, "plant.library=[theta_rate,u,sin(theta)]")
