@@ -153,8 +153,8 @@ LEFT_OUT = {
     "dates": "dates beside the time",
     "reference": "references by name",
     "label": "labels, of two values or a few that hardly change",
-    "derived": "sums of multiples of other columns",
-    "function": "sums of products of other columns, or roots of such, as a power, a cost and a length are",
+    "derived": "sums of a few multiples or products of other columns, or roots or integrals of such",
+    "noise": "noise from row to row, which nothing in the row before tells",
     "shifted": "samples of other columns a row earlier or later",
     "direct": "jumping with an input, as an acceleration does and no state can",
 }

@@ -30,8 +30,8 @@ EPOCHS = {
 100 ns, spreadsheets, MATLAB and astronomers in days."""
 LONGEST_PART = 1 / 287
 """Parts of a day from row to row, five minutes, beyond which times are those of a second: 144 Hz are ten minutes."""
-OVERFLOWS = (2.0**8, 2.0**16, 2.0**24, 2.0**32)
-"""Sizes of counters, which begin anew there."""
+OVERFLOWS = (2.0**8, 1e3, 2.0**16, 1e6, 2.0**24, 1e9, 2.0**32)
+"""Sizes of counters, which begin anew there, also of parts of a second."""
 FEWEST = 10
 """Rows of a recording that begins anew; single rows in disorder are none."""
 

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain, combinations_with_replacement, product
+from itertools import chain, combinations_with_replacement
 from pathlib import Path
 from typing import Any
 
@@ -226,15 +226,10 @@ def infer(
     led = [name for name in followed if name not in found]
     leave("followed", led)
     leave("label", [name for name, column in left().items() if _is_label(column, rarely=False)])
-    leave(
-        "derived",
-        _derived(left(), [moves[n] for n, reason in why.items() if reason in ("reference", "followed") and n in moves]),
-    )
     leave("shifted", _shifted(left()))
-    leave(
-        "function",
-        _functions(left(), [moves[n] for n in moves if n in found or why.get(n) in ("reference", "followed")]),
-    )
+    references = [moves[name] for name, reason in why.items() if reason in ("reference", "followed") and name in moves]
+    for reason, names in _dependent(left(), references, [moves[name] for name in found if name in moves]).items():
+        leave(reason, names)
     driven = [name for name, column in left().items() if _acts_at_once(column, [moves[n] for n in found if n in moves])]
     leave("direct", driven if len(driven) < len(left()) else ())
     if states is None:
@@ -257,7 +252,7 @@ def infer(
         "reference",
         "label",
         "derived",
-        "function",
+        "noise",
         "shifted",
         "direct",
     ):
@@ -323,55 +318,73 @@ def _acts_at_once(column: Array, inputs: Sequence[Array]) -> bool:
     return False
 
 
-def _derived(columns: Mapping[str, Array], basis: Sequence[Array]) -> list[str]:
-    """Return columns that are sums of multiples of others before them, and of a basis, but for their last digits."""
-    every = slice(None, None, 1 + max(map(len, columns.values()), default=0) // 2000)
-    known, found = [column[every] for column in basis], list[str]()
-    for name, column in columns.items():
-        values = column[every]
-        table = np.stack([np.ones_like(values), *known], -1)
-        if len(values) > 20 * table.shape[1]:
-            factors = np.linalg.lstsq(table, values, rcond=None)[0]
-            digits = _last_digit(values) + np.abs(factors) @ [0.0, *map(_last_digit, known)]
-            if np.abs(values - table @ factors).max() <= min(digits, 1e-3 * np.ptp(values)):
-                found.append(name)
-                continue
-        known.append(values)
-    return found
+def _dependent(
+    columns: Mapping[str, Array], references: Sequence[Array], inputs: Sequence[Array]
+) -> dict[str, list[str]]:
+    """Return columns that follow from others in the same row, or of integrals of an error, and those that are noise.
 
-
-def _functions(columns: Mapping[str, Array], basis: Sequence[Array]) -> list[str]:
-    """Return columns that are sums of a few products of others and of a basis, or roots of such, but for last digits.
-
-    Sums without a product are none: of an input that a controller makes of states any of these is one.
+    They are sums of a few of those before them and of references, sums of products of any others, or roots of such.
+    Other sums with inputs are none: of an input that a controller makes of states any of these is one.
     """
-    every = slice(None, None, 1 + max(map(len, columns.values()), default=0) // 2000)
-    x = np.array([column[every] for column in (*columns.values(), *basis)])
-    if not len(columns) or len(x) > WIDEST or x.shape[1] < 100:
-        return []
-    pairs = np.array([*combinations_with_replacement(range(len(x)), 2)]).T
-    terms, of = np.concatenate([x, x[pairs[0]] * x[pairs[1]]]), np.append(np.tile(np.arange(len(x)), (2, 1)), pairs, 1)
-    size, half, found = np.quantile(np.abs(x), 0.99, 1), 0.5 * np.array([*map(_last_digit, x)]), set[int]()
+    every, all_ = 1 + max(map(len, columns.values()), default=0) // 2000, [*columns.values(), *references, *inputs]
+    before, x = (np.array([column[k : len(column) - 1 + k : every] for column in all_]) for k in (0, 1))
+    count, width = len(columns), len(x)
+    if not count or x.shape[1] < 100:
+        return {}
+    own = width - len(inputs)
+    pairs = np.array([*combinations_with_replacement(range(width * (width <= WIDEST)), 2)], int).reshape(-1, 2).T
+    low, high = np.append(np.tile(np.arange(width), (2, 1)), pairs, 1)  # columns of each term
+    plain, driven, referred = np.arange(len(high)) < width, high >= own, high >= count
+    size, half = np.quantile(np.abs(x), 0.99, 1), 0.5 * np.array([*map(_last_digit, x)])
     halves = np.append(half, (size[pairs] * half[pairs[::-1]]).sum(0))  # of the last digit, as rounding makes it
-    for k, power in product(reversed(range(len(columns))), (1, 2)):
-        free = np.flatnonzero(~np.isin(of, [k, *found]).any(0))
-        if power == 2 and x[k].min() < 0:
-            continue
-        table, y = terms[free], x[k] ** power
-        if power == 1:
-            table, y = table - table.mean(1, keepdims=True), y - y.mean()
-        norms, rest, few = np.linalg.norm(table, axis=1) + 1e-300, y, list[int]()
-        wide, own = np.ptp(np.quantile(y, [0.01, 0.99])), half[k] * (2 * size[k]) ** (power - 1)
-        while len(few) < min(FEW, len(free)):
-            few.append(int((np.abs(table @ rest) / norms).argmax()))
-            factors = np.linalg.lstsq(table[few].T, y, rcond=None)[0]
-            rest = y - factors @ table[few]
-            rounding = math.hypot(own, *factors * halves[free][few])
-            if rest.std() <= min(max(rounding, EXACT * wide), 100 * EXACT * wide):
-                of_products = factors * (free[few] >= len(x)) @ table[few]
-                found |= {k} if power == 2 or of_products.std() > 0.01 * wide else set()
-                break
-    return [name for k, name in enumerate(columns) if k in found]
+    found = set[int]()
+
+    def products(rows: Array) -> Array:
+        return np.concatenate([rows, rows[pairs[0]] * rows[pairs[1]]])
+
+    def free(k: int) -> NDArray[np.bool_]:
+        return ~(np.isin(low, [k, *found]) | np.isin(high, [k, *found]))
+
+    terms, level = products(x), x - x.mean(1, keepdims=True)
+    table = terms - terms.mean(1, keepdims=True)
+    for k in range(count):
+        if _few_terms(level[k], table, free(k) & plain & ~driven & ((high < k) | referred), halves, half[k]):
+            found.add(k)
+    for k in reversed(range(count)):
+        few = _few_terms(level[k], table, free(k), halves, half[k], EXACT)
+        root = x[k].min() >= 0 and _few_terms(x[k] ** 2, terms, free(k), halves, 2 * size[k] * half[k], EXACT)
+        if root or sum((f * table[n] for n, f in few.items() if n >= width), np.zeros(1)).std() > 0.01 * x[k].std():
+            found.add(k)
+    for late in (0.0, 0.5, 1.0) if references else ():
+        table = products(x + late * (before - x))
+        table -= table.mean(1, keepdims=True)
+        for k in range(count):
+            steps = x[k] - before[k]
+            few = _few_terms(steps - steps.mean(), table, free(k) & ~driven, halves, 2 * half[k], EXACT)
+            if referred[[*few]].any():
+                found.add(k)
+    then, now = np.clip([before, x], *np.quantile(x, [0.05, 0.95], axis=1)[..., None])  # without spikes
+    table, missed = np.concatenate([np.ones_like(x[:1]), then, now[own:]]), np.zeros(count)
+    if x.shape[1] > 20 * len(table):
+        rest = now[:count] - np.linalg.lstsq(table.T, now[:count].T, rcond=None)[0].T @ table
+        missed = rest.var(1) / (now[:count].var(1) + 1e-300)
+    names, noisy = [*columns], np.flatnonzero((missed > NOISE) & (missed.min() < 0.1))
+    return {"derived": [names[k] for k in sorted(found)], "noise": [names[k] for k in noisy]}
+
+
+def _few_terms(
+    y: Array, terms: Array, free: NDArray[np.bool_], halves: Array, half: float, exact: float = 0.0
+) -> dict[int, float]:
+    """Return factors of the fewest of some terms whose sum a column is, but for half a last digit; none of no such."""
+    norms, few = np.where(free, np.linalg.norm(terms, axis=1) + 1e-300, np.inf), list[int]()
+    rest, wide = y, float(np.ptp(np.quantile(y, [0.01, 0.99])))
+    while wide and len(few) < min(FEW, int(free.sum())):
+        few.append(int((np.abs(terms @ rest) / norms).argmax()))
+        factors = np.linalg.lstsq(terms[few].T, y, rcond=None)[0]
+        rest = y - factors @ terms[few]
+        if rest.std() <= min(max(math.hypot(half, *factors * halves[few]), exact * wide), 1e-3 * wide):
+            return dict(zip(few, factors.tolist(), strict=True))
+    return {}
 
 
 def _last_digit(column: Array) -> float:
@@ -389,8 +402,10 @@ REFERENCE = re.compile(
 )
 """What references are called, in several languages."""
 FEW, WIDEST, EXACT = 5, 40, 1e-5
-"""Products of which a column may be a sum, columns up to which those are looked for, and the part of its range by which
-it may differ, whatever its digits are."""
+"""Terms of which a column may be a sum, columns up to which their products are looked for, and the part of its range by
+which it may differ, as one of few digits does."""
+NOISE = 0.7
+"""Part of its variance that no row before foretells by which a column is noise beside smooth ones."""
 HELD = 0.5
 """Share of the rows with the same number as before beyond which a column moves in steps."""
 

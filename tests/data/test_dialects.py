@@ -216,10 +216,24 @@ def test_a_function_of_other_columns_is_no_state_wherever_it_stands(tmp_path, fu
     value = {"value": function(*columns.values()).round(digits)}
     for order in (columns | value, value | columns):
         found = recording(tmp_path / "l.csv", table(["time", *order], T, *order.values()))
-        assert found.signature.state_names == ("angle", "rate") and left_out(found)["function"] == ["value"]
+        assert found.signature.state_names == ("angle", "rate") and left_out(found)["derived"] == ["value"]
     free = {"value": (value["value"] + rng.normal(0, 0.01, ROWS)).round(digits)}
     found = recording(tmp_path / "l.csv", table(["time", *columns, *free], T, *columns.values(), *free.values()))
     assert found.signature.state_names == ("angle", "rate", "value")
+
+
+def test_noise_and_integrals_of_an_error_are_no_states_beside_smooth_ones(tmp_path):
+    rng = np.random.default_rng(8)
+    wanted = np.repeat(rng.uniform(-1, 1, ROWS // 30), 30)
+    sums = {"total": np.cumsum(wanted - ANGLE) * 0.01, "ise": np.cumsum((wanted - ANGLE) ** 2) * 0.01}
+    noise = {"loop_us": 2000 + rng.normal(0, 15, ROWS).round(), "crc": rng.integers(0, 256, ROWS)}
+    plain = {"angle": ANGLE, "rate": RATE, "setpoint": wanted, "u": COMMAND}
+    columns = sums | plain | noise
+    found = recording(tmp_path / "l.csv", table(["time", *columns], T, *columns.values()))
+    require_truth(found)
+    assert (left_out(found)["derived"], left_out(found)["noise"]) == ([*sums], [*noise])
+    alone = recording(tmp_path / "l.csv", table(["time", "crc", "u"], T, noise["crc"], COMMAND))
+    assert alone.signature.state_names == ("crc",)
 
 
 def test_samples_of_the_next_row_are_no_states_and_a_state_that_is_held_is_told(tmp_path):
