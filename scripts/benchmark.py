@@ -9,7 +9,7 @@ from collections.abc import Sequence
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: one thread is what is compared
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
 
-from cli import pipe_guard, program, purpose, require_writable
+from cli import pipe_guard, program, purpose
 
 BENCHMARKS = ("gradient", "identify", "logs", "peers", "plants", "rigs")
 """Modules of `benchmarks`, each with a `main` and with `add_options` for its command line."""
@@ -29,10 +29,7 @@ def main() -> None:
     parser.add_argument("name", nargs="?", default="none", choices=BENCHMARKS, help="each has options and a --help")
     with pipe_guard():
         name = parser.parse_args(sys.argv[1:2]).name
-        arguments = parse(name, sys.argv[2:])
-        if arguments.out is not None:
-            require_writable(arguments.out.parent)
-        importlib.import_module(f"benchmarks.{name}").main(arguments)
+        importlib.import_module(f"benchmarks.{name}").main(parse(name, sys.argv[2:]))
 
 
 if __name__ == "__main__":

@@ -10,12 +10,15 @@ from cli import command
 @command("check")
 def main(cfg: Any) -> None:
     """Print the verdict, write figures and numbers, and end with 1 where the loop is not stable."""
+    from omegaconf import OmegaConf
+    from settings import read_config
+
     from dynasindy.checking import ClosedLoop, Settings, check, check_verdict
     from dynasindy.checking.verdict import check_record, unstable_targets
     from dynasindy.export.write import read
     from dynasindy.findings import records
     from dynasindy.progress import say
-    from dynasindy.safe_io import add_to_json, output_folder, write_json
+    from dynasindy.safe_io import add_to_json, output_folder, reading, write_json
     from dynasindy.sentences import check_lines
     from dynasindy.viz.check import draw_check
     from dynasindy.viz.style import save_figures
@@ -23,10 +26,18 @@ def main(cfg: Any) -> None:
     run = Path(cfg.run)
     controller, model = read(run)
     if controller is None or model is None:
-        lack = "controller" if controller is None else "model of the plant"
-        raise ValueError(f"{run} has no {lack}; give the folder of a run that has ended, with controller and model")
-    names = ("points", "seconds", "reach", "grid", "draws", "seed")
-    settings = Settings(**_range_and_start(cfg, run), **{name: cfg[name] for name in names})
+        raise ValueError(f"{run} lacks controller or model of the plant; give the folder of a run that has ended")
+    own: Any = OmegaConf.to_container(cfg)
+    file = (run if run.is_dir() else run.parent) / "config.yaml"
+    with reading(file):
+        saved: Any = OmegaConf.to_container(read_config(file)) if file.is_file() else {}
+        plant, task = saved.get("plant") or {}, saved.get("task") or {}
+        start = {key: task.get(key) or plant.get(key) or {} for key in ("start", "bounds")}
+        ends = {key: own[key] or plant.get(key) for key in ("low", "high")}
+    if not all(ends.values()):
+        raise ValueError(f"{file} holds no plant.low and plant.high; give low=[...] and high=[...] of the targets")
+    tried = {key: own[key] for key in ("points", "seconds", "reach", "grid", "draws", "seed")}
+    settings = Settings(**ends, **start, **tried)
     folder = output_folder(run, "check", cfg.folder)
     found = check(ClosedLoop(controller, model), settings)
     findings = check_verdict(found)
@@ -39,25 +50,6 @@ def main(cfg: Any) -> None:
     say("What the model predicts; the plant itself was not asked.", *check_lines(findings), f"Files: {folder}")
     if bool(unstable_targets(found).any()):
         sys.exit(1)
-
-
-def _range_and_start(cfg: Any, run: Path) -> dict[str, Any]:
-    """Return the ends of the target range, as given or as the run has them, and where its episodes begin and end."""
-    from omegaconf import OmegaConf
-    from settings import read_config
-
-    from dynasindy.safe_io import reading
-
-    file = (run if run.is_dir() else run.parent) / "config.yaml"
-    with reading(file):
-        own: Any = OmegaConf.to_container(cfg)
-        settings: Any = OmegaConf.to_container(read_config(file)) if file.is_file() else {}
-        plant, task = settings.get("plant") or {}, settings.get("task") or {}
-        found = {key: own[key] or plant.get(key) for key in ("low", "high")}
-        found |= {key: task.get(key) or plant.get(key) or {} for key in ("start", "bounds")}
-    if not (found["low"] and found["high"]):
-        raise ValueError(f"{file} holds no plant.low and plant.high; give low=[...] and high=[...] of the targets")
-    return found
 
 
 if __name__ == "__main__":

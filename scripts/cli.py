@@ -3,10 +3,7 @@
 It imports no library that takes long, so that help comes at once, and a signal that comes early is one line, too.
 """
 
-from __future__ import annotations
-
 import argparse
-import ast
 import os
 import re
 import shlex
@@ -21,36 +18,28 @@ from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
 from tempfile import TemporaryFile
-from types import FrameType
 from typing import Any
 
 COMMANDS = ("train", "identify", "evaluate", "check", "export", "rig", "ablation", "table", "report")
 """Each is the script of that name, with a function `main` without arguments."""
-SCRIPTS = Path(__file__).resolve().parent
-CONF = SCRIPTS.parent / "conf"
-IN_CLONE = (SCRIPTS.parent / "pyproject.toml").is_file()
+CONF = Path(__file__).resolve().parents[1] / "conf"
+IN_CLONE = CONF.with_name("pyproject.toml").is_file()
 HELP = ("-h", "--help")
-WIDTH = 100
-"""Columns of the help that are not those of a file."""
 OF_RUN = {
     "evaluate": "flies it to steps, along sines and along squares, and draws that",
     "check": "tells its margins and worst cases, on the model",
     "export": "writes the controller as C, for a microcontroller",
 }
 """What a command shows or makes of a run."""
-SMOKE = ("experiment=smoke", "experiment=gradient_smoke")
-"""What tries every part of a training once, and learns too little."""
-IDENTIFYING = ("system", "data", "plant", "world_model", "refinement", "source", "longest_delay", "threads")
-"""Words of `train` that say how a log is identified; `identify` has them too."""
 
 
-def exit_now(number: int, frame: FrameType | None) -> None:
+def exit_now(number: int, frame: object) -> None:
     """End at once: nothing was begun, or everything is done."""
     os.write(2, b"stopped\n")
     os._exit(128 + number)
 
 
-def handle_signals(handler: Callable[[int, FrameType | None], None]) -> None:
+def handle_signals(handler: Callable[[int, Any], None]) -> None:
     """Let a handler hear of Ctrl-C and SIGTERM; only the main thread may say so."""
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -121,8 +110,7 @@ def main() -> None:
 def require_writable(folder: Path) -> None:
     """Make a folder, before the work that fills it, and make sure that it can be written."""
     folder.mkdir(parents=True, exist_ok=True)
-    with TemporaryFile(dir=folder):  # permissions alone do not tell
-        pass
+    TemporaryFile(dir=folder).close()  # permissions alone do not tell
 
 
 def program(name: str) -> str:
@@ -133,8 +121,7 @@ def program(name: str) -> str:
 
 def purpose(name: str) -> str:
     """Return the docstring of a command's script, which says what it does and how it is called."""
-    words = " ".join((ast.get_docstring(ast.parse((SCRIPTS / f"{name}.py").read_text())) or "").split())
-    return words.replace(f"python scripts/{name}.py", program(name))
+    return str(import_module(name).__doc__).replace(f"python scripts/{name}.py", program(name))
 
 
 def config_dir() -> str | None:
@@ -163,17 +150,16 @@ def help_page(name: str, words: Sequence[str]) -> str:
         asked += [f"{group}={each}\n{textwrap.indent(shown(file), '    ')}" for each, file in files.items()]
     if asked:
         return "\n\n".join(asked)
-    own = CONF / f"{name}.yaml"
-    bases = [CONF / f"{base}.yaml" for base in re.findall(r"^  - ([a-z]\w+)$", own.read_text(), re.M)]
-    files = [*bases, own]
+    bases = re.findall(r"^  - ([a-z]\w+)$", (CONF / f"{name}.yaml").read_text(), re.M)
+    files = [CONF / f"{each}.yaml" for each in (*bases, name)]
     files += [groups[group][option] for group, option in _options(files).items() if group in ("experiment", "setting")]
     used = {group: option for group, option in _options(files).items() if group in groups}
-    lines = [textwrap.fill(purpose(name), WIDTH)]
+    lines = [textwrap.fill(purpose(name), 100)]
     lines += ["", f"What it is made of; `{program(name)} GROUP[=OPTION] --help` says more:"] if used else []
     for group, option in used.items():
         others = ", ".join(other for other in groups[group] if other != option)
         text = f"  {group}={option}".ljust(22) + f"  or {others}"
-        lines.append(textwrap.fill(text, WIDTH, subsequent_indent=" " * 27))
+        lines.append(textwrap.fill(text, 100, subsequent_indent=" " * 27))
     for file in files:
         lines += ["", f"Settings, from {file.relative_to(CONF.parent)}:", "", _settings(file)]
     lines += ["", f"The whole config: {program(name)} --cfg job; what Hydra can do: {program(name)} --hydra-help"]
@@ -200,8 +186,7 @@ def heading(file: Path) -> str:
 
 def command_line(name: str, words: Sequence[str], comment: str = "") -> str:
     """Return a command as a shell takes it, with the folder of the user's own settings, and what comes of it."""
-    folder = config_dir()
-    own = ["--config-dir", folder] if folder else []
+    own = ["--config-dir", folder] if (folder := config_dir()) else []
     line = " ".join([program(name), *map(shlex.quote, [*own, *words])])
     return f"{line}  # {comment}" if comment else line
 
@@ -214,32 +199,6 @@ def next_steps(*lines: str) -> str:
 def run_steps(folder: object, *names: str, plugins: Sequence[str] = ()) -> list[str]:
     """Return the commands that go on with a run, each with what comes of it; `plugins` are words for all of them."""
     return [command_line(name, [f"run={folder}", *plugins], OF_RUN[name]) for name in names]
-
-
-def improvements(
-    run: object, words: Sequence[str], episodes: int | None = None, checked: bool = True, imagined: float | None = None
-) -> str:
-    """Return what helps where the plant is not controlled: where the loop is weak, and more or better data.
-
-    A plan from a log has no real `episodes`; `imagined` is the error at the end of imagined ones [target ranges].
-    """
-    from dynasindy.evaluation.tracking_criteria import WITHIN  # with TorchRL, which `identify` does without
-
-    lines = []
-    if checked:
-        lines.append(command_line("check", [f"run={run}"], "tells at which targets the loop is weak, and how"))
-    if episodes is not None and not any(word.startswith("resume=") for word in words):
-        key, value, does = "train.episodes", max(3, 2 * episodes), "flies more episodes, whose data mend the model"
-        if imagined is not None and imagined > WITHIN:  # where the model is not what fails
-            key, value = "planning.updates", 3000
-            does = f"plans longer: in the model, too, targets are missed by {100 * imagined:.2g} %"
-        kept = without([word for word in words if word not in SMOKE], key, "folder", "finish")
-        lines.append(command_line("train", [*kept, f"{key}={value}"], does))
-    if episodes is None and any(word.startswith("data.path=") for word in words):
-        others = without(words, *IDENTIFYING)
-        lacks = "tells what the log lacks: what to record, or which functions"
-        lines.append(command_line("identify", [word for word in words if word not in others], lacks))
-    return next_steps(*lines)
 
 
 def without(words: Sequence[str], *keys: str) -> list[str]:

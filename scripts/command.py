@@ -20,7 +20,6 @@ from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from functools import cache
 from importlib.metadata import requires
 from pathlib import Path
-from types import FrameType
 from typing import Any, ClassVar
 
 import hydra
@@ -61,16 +60,12 @@ PARSER = OverridesParser.create()
 class Sweep(Callback):
     """Check what the jobs of a sweep share before the first one."""
 
-    here: ClassVar[bool] = False
-    """Whether a command was started in this process; a worker of a launcher has none."""
     config: ClassVar[DictConfig | None] = None
     """What the jobs of the sweep that is under way share."""
-    began: ClassVar[float] = 0.0
-    """When it began."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
         """Find mistakes, which cost one line and exit code 2."""
-        Sweep.config, Sweep.began = config, time.time()
+        Sweep.config = config
         show()
         with one_line():
             if (file := Path(config.hydra.sweep.dir) / "multirun.yaml").is_symlink():  # Hydra would write through it
@@ -110,9 +105,8 @@ def end_sweep(config: DictConfig, began: float) -> None:
     folder = Path(config.hydra.sweep.dir)
     print(f"Sweep: {folder}")
     try:
-        if not any(folder.rglob("metrics.json")):
-            print(f"No run in {folder} has finished, so there is no table.")
-        elif "level" in config:
+        finished = any(folder.rglob("metrics.json"))
+        if finished and "level" in config:
             from dynasindy.evaluation.ablation import gather
             from dynasindy.viz.learning import draw_ablation
 
@@ -120,7 +114,7 @@ def end_sweep(config: DictConfig, began: float) -> None:
             gather(folder, results, level)
             draw_ablation(results, level)
             say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
-        else:
+        elif finished:
             say(f"next:\n  {program('table')} {folder}  # the table of its jobs")
     finally:  # jobs that failed may be why there are no tables
         if reasons := sorted(str(file) for file in folder.rglob("*error.txt") if file.stat().st_mtime >= began):
@@ -134,15 +128,16 @@ def run(config_name: str, task: Callable[[DictConfig], None]) -> None:
     as it is: a sweep leaves the line beside its folder. A job of a sweep that fails does not end the others. Set
     DYNASINDY_TRACEBACK=1 to see where an error comes from.
     """
+    process, began = os.getpid(), time.time()
 
     def job(cfg: DictConfig) -> None:
-        if not Sweep.here:
+        if os.getpid() != process:  # a worker of a launcher
             end_with_parent()
             handle_signals(stop)
         elif config_name != "rig":  # whose clock a thread that draws would disturb
             show()
         use_command_words()
-        output, swept = _output()
+        folder, swept = output()
         with suppress(SystemExit) if swept else nullcontext(), pipe_guard(), one_line(cfg):
             try:
                 import torch  # here, as a misspelt key does without it
@@ -153,22 +148,20 @@ def run(config_name: str, task: Callable[[DictConfig], None]) -> None:
                 gc.enable()
                 torch.set_num_threads(cfg.threads)
                 if swept:  # an earlier refusal no longer holds
-                    output.with_name(f"{output.name}.error.txt").unlink(missing_ok=True)
-                for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):
-                    require_writable(Path(folder))
+                    folder.with_name(f"{folder.name}.error.txt").unlink(missing_ok=True)
+                for place in filter(None, (cfg.get("folder"), cfg.get("output"))):
+                    require_writable(Path(place))
                 task(cfg)
             finally:
-                for folder in () if swept else (output, cfg.get("folder"), cfg.get("output")):
-                    remove_empty(folder)
+                for place in () if swept else (folder, cfg.get("folder"), cfg.get("output")):
+                    remove_empty(place)
 
     # The jobs of a sweep run in processes of their own, which have to find the modules beside this one; joblib's
     # bookkeeper counts, line by line, what workers that were stopped no longer tidied.
-    path, warned = os.environ.get("PYTHONPATH"), os.environ.get("PYTHONWARNINGS")
-    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(SCRIPTS), path]))
-    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, ["ignore:resource_tracker", warned]))
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(SCRIPTS), os.environ.get("PYTHONPATH")]))
+    os.environ["PYTHONWARNINGS"] = f"ignore:resource_tracker,{os.environ.get('PYTHONWARNINGS', '')}".rstrip(",")
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hydra's printer
     gc.disable()  # it would look for garbage among what is imported, a sixth of the time that this takes
-    Sweep.here = True
     use_command_words()  # for what is refused before a job begins; workers of a sweep call it in `job`
     for kind in (DeprecationWarning, FutureWarning):  # what a library tells those who program with it
         warnings.simplefilter("ignore", kind)
@@ -179,20 +172,19 @@ def run(config_name: str, task: Callable[[DictConfig], None]) -> None:
             sys.argv[1:] = read_words(config_name, sys.argv[1:])
             hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(job)()
             if Sweep.config is not None:
-                end_sweep(Sweep.config, Sweep.began)
+                end_sweep(Sweep.config, began)
     except KeyboardInterrupt as end:
         handle_signals(exit_now)
         line = "stopped; the same command begins anew" if str(end) in ("", "stopped") else " ".join(str(end).split())
         if Sweep.config is not None:
-            kept = Sweep.config.hydra.sweep.dir
-            line = f"stopped; the finished jobs are kept in {kept}, the same command goes on with the others"
+            line = f"stopped; what is finished stays in {Sweep.config.hydra.sweep.dir}, the same command does the rest"
         print(fit_stderr(line), file=sys.stderr)
         sys.exit(128 + getattr(end, "signal", 2))
     handle_signals(exit_now)
     gc.freeze()  # else the interpreter looks for a second whether anything that torch made is garbage
 
 
-def stop(number: int, frame: FrameType | None) -> None:
+def stop(number: int, frame: object) -> None:
     """Leave what is under way; a second signal leaves at once."""
     from dynasindy.dyna import Stopped
 
@@ -216,16 +208,15 @@ def end_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _output() -> tuple[Path, bool]:
+def output() -> tuple[Path, bool]:
     """Return the folder that Hydra gives this job, and whether it is one of a sweep."""
     return Path(HydraConfig.get().runtime.output_dir), HydraConfig.get().mode == RunMode.MULTIRUN
 
 
 def show() -> None:
     """Show from here on what the command is doing; it begins with imports, which take a moment."""
-    if Progress.active is None:
-        PROGRESS.enter_context(Progress())
-        report_progress(LOADING)
+    PROGRESS.enter_context(Progress())
+    report_progress(LOADING)
 
 
 @contextmanager
@@ -236,15 +227,15 @@ def one_line(cfg: DictConfig | None = None) -> Iterator[None]:
         yield
     except (Exception, SystemExit) as error:
         words = in_words(error, settings)
-        if not words or os.environ.get("DYNASINDY_TRACEBACK"):
-            if words and isinstance(error, SystemExit):  # of which Python prints nothing
-                traceback.print_exception(error)
+        if not words:
             raise
+        if os.environ.get("DYNASINDY_TRACEBACK"):
+            traceback.print_exception(error)
         traceback.clear_frames(error.__traceback__)  # what they hold may be the memory that is missing
         line = f"error: {words}"
         with suppress(OSError):  # the disk may be what is wrong
             begun = HydraConfig.initialized() and not OmegaConf.is_missing(HydraConfig.get().runtime, "output_dir")
-            folder, swept = _output() if begun else (Path.cwd(), False)
+            folder, swept = output() if begun else (Path.cwd(), False)
             finished = (folder / "metrics.json").is_file()
             # Who gave the command has read the line; a job of a sweep always leaves its own.
             if folder.is_dir() and folder.resolve() != Path.cwd() and (swept or not finished):
@@ -311,13 +302,12 @@ def in_words(error: BaseException, settings: object = None) -> str:
     if is_memory_error(error):
         wanted = memory_wanted(error)
         said = f": {wanted} more were wanted" if wanted else f": {text}" if text and type(error) is MemoryError else ""
-        lower = "lower counts and sizes, such as replay.capacity, planning.rollouts, agent.hidden or draws, or log less"
-        return f"memory ran out{said}; {lower}, or allow this command more (ulimit -v)"
+        lower = "replay.capacity, planning.rollouts, agent.hidden or draws, log less, or allow more (ulimit -v)"
+        return f"memory ran out{said}; lower {lower}"
     if not (isinstance(error, MENDABLE) or type(error).__name__ == "Diverged"):  # whose class would import torch
         return ""
     if isinstance(error, OverrideParseException):
-        hint = "close all brackets and quotes, and put them between quotes of the shell: 'plant.outputs=[angle]'"
-        return f"'{error.override}' cannot be read; write key=value, {hint}"
+        return f"'{error.override}' cannot be read; write key=value, all of it in quotes: 'plant.outputs=[angle]'"
     engine = re.search(r"Could not find 'hydra/launcher/([a-z]+)", text)
     module = engine[1] if engine else str(getattr(error, "name", None)).partition(".")[0]
     optional = "\n".join(requires("dynasindy") or ()) if engine or isinstance(error, ModuleNotFoundError) else ""
@@ -340,7 +330,8 @@ def read_words(config_name: str, words: list[str]) -> list[str]:
     A value that Hydra cannot read is text, `run=latest` is a folder, and a setting of a plant that no file gives is
     added to those that one does.
     """
-    settings = [as_text(resolve_latest(word)) for word in words if word[:1] != "-" and re.search("=|^~", word)]
+    parts = (resolve_latest(word).partition("=") for word in words if word[:1] != "-" and re.search("=|^~", word))
+    settings = [f"{key}{sign}{as_text(value)}" for key, sign, value in parts]
     options = [word for word in words if word[:1] == "-" or not re.search("=|^~", word)]
     parser = get_args_parser()
     parser.usage = SUPPRESS  # all options that there are
@@ -365,27 +356,19 @@ def resolve_latest(word: str) -> str:
     return f"{asked[1]}={_quoted(files[place].parent)}"
 
 
-def as_text(word: str) -> str:
-    """Return a word of a command line as Hydra reads it: a value or an item of a list that it cannot read is text.
+def as_text(value: str) -> str:
+    """Return a value as Hydra reads it: one that it cannot read is text, or a list of values that may be.
 
     The shell takes away the quotation marks of `data.time="Time [ms]"`, and a bracket within a value is none that Hydra
     knows. A bracket that is not closed is left as it is, to be refused.
     """
-    key, _, value = word.partition("=")
-    if not value or _parses(word):
-        return word
-    made = word if value[0] in "[{('\"" else f"{key}={_quoted(value)}"
-    if value[0] == "[" and value[-1] == "]":
-        items = [item.strip() for item in re.split(r",(?![^\[({]*[\])}])", value[1:-1])]
-        made = f"{key}=[{','.join(item if _parses(f'{key}={item}') else _quoted(item) for item in items)}]"
-    return made if _parses(made) else word
-
-
-def _parses(word: str) -> bool:
-    """Tell whether Hydra can read a word."""
     with suppress(HydraException):
-        return bool(PARSER.parse_override(word))
-    return False
+        PARSER.parse_override(f"key={value}")
+        return value
+    if value[0] == "[" and value[-1] == "]":
+        items = re.split(r",(?![^\[({]*[\])}])", value[1:-1])
+        return f"[{','.join(as_text(item.strip()) for item in items)}]"
+    return value if value[0] in "[{('\"" else _quoted(value)
 
 
 def _quoted(text: object) -> str:
@@ -420,18 +403,16 @@ def require_keys(config_name: str, settings: list[str]) -> list[str]:
         group, _, name = key.rpartition(".")
         if source := taken_from(group, whole):
             raise ValueError(f"'{key}' follows another key; give {source}.{name} instead")
-        if key in names or word[0] in "+~":
-            continue
-        if "plant" not in names or not key.startswith("plant."):
+        new = key not in names and word[0] not in "+~"
+        if new and not ("plant" in names and key.startswith("plant.")):
             raise ValueError(_misspelt(key, names))
-        added.append(word)
+        added += [word] * new
     return [f"++{word}" if word in added else word for word in settings]
 
 
 def _misspelt(key: str, names: list[str]) -> str:
     """Return which keys stand where one was given that does not exist."""
-    public = (each for each in dict.fromkeys(names) if not re.search(r"\[|(^|\.)_", each))
-    known = sorted(public, key=lambda name: name.count("."))
+    known = sorted((each for each in names if not re.search(r"\[|(^|\.)_", each)), key=lambda name: name.count("."))
     group = key.rpartition(".")[0]
     while group not in ("", *known):
         group = group.rpartition(".")[0]
@@ -441,8 +422,7 @@ def _misspelt(key: str, names: list[str]) -> str:
 
 def compose(config_name: str | None, settings: list[str]) -> DictConfig:
     """Return a config as Hydra composes it of settings, with the folder of the user's own as the command names it."""
-    own = config_dir()
-    folder = [f"hydra.searchpath=[file://{Path(own).absolute()}]"] if own else []
+    folder = [f"hydra.searchpath=[file://{Path(own).absolute()}]"] if (own := config_dir()) else []
     GlobalHydra.instance().clear()
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
         return hydra.compose(config_name, overrides=[*folder, *settings])
@@ -459,9 +439,7 @@ def implied(settings: list[str], options: Namespace) -> list[str]:
     found = ["system=logged"] if "model" in given and not {"data", "system", "resume"} & given.keys() else []
     if folder := given.get("resume"):
         if not (Path(folder) / "config.yaml").is_file():
-            raise FileNotFoundError(
-                f"resume={folder} is no run folder, it has no config.yaml; give one of a stopped run"
-            )
+            raise FileNotFoundError(f"resume={folder} is no run folder, it has no config.yaml; give a stopped run's")
         found.append(f"hydra.run.dir={_quoted(folder)}")
     elif options.multirun and "hydra.sweep.dir" not in given:
         own = [word for word in settings if not word.startswith("hydra")]

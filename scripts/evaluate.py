@@ -35,8 +35,7 @@ def main(cfg: Any) -> None:
     out = output_folder(folder, "evaluation_integral" if cfg.integral else "evaluation")
     within, verdicts = config.evaluation.get("within", WITHIN), []
     system = env.system if env.system.known else SindyModel.load(folder / "model.json")
-    scenarios = [load_scenario(name, config, env) for name in cfg.scenarios]
-    for scenario in scenarios:
+    for scenario in [load_scenario(each, config, env) for each in cfg.scenarios]:  # a wrong one before the first
         result = evaluate(env, policy, scenario, sensing)
         save_evaluation(result, out)
         draw_evaluation(result, out, name, cfg.formats)
@@ -48,8 +47,7 @@ def main(cfg: Any) -> None:
         rerun = partial(evaluate, env, policy, scenario, sensing) if env.system.known else None
         _, verdict = judge_control([judge_tracking(result, matter, rerun)], within)
         verdicts.append(f"  {scenario.name}: {verdict}")
-    say("Verdict, against the error that was asked for:", *verdicts)
-    say(f"Figures, tables and trajectories: {out}")
+    say("Verdict, against the error that was asked for:", *verdicts, f"Figures, tables and trajectories: {out}")
 
 
 if __name__ == "__main__":

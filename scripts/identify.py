@@ -1,21 +1,14 @@
 """Identify a model: `python scripts/identify.py [system=xi] [data=csv data.path=log.csv]`."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cli import command, command_line, next_steps, without
-
-if TYPE_CHECKING:
-    from dynasindy.identification.identify import Identified
-    from dynasindy.identification.source import Source
 
 
 @command("identify")
 def main(cfg: Any) -> None:
     """Load data, fit, judge, write everything and print it."""
-    from hydra.core.hydra_config import HydraConfig
     from hydra.utils import instantiate
 
     from dynasindy.identification.identify import before_fit, identify_source, to_words, write_identification
@@ -23,10 +16,7 @@ def main(cfg: Any) -> None:
     from dynasindy.sentences import lines
 
     if cfg.data.get("path") and cfg.get("sensors") is not None:
-        raise ValueError(
-            f"sensors={HydraConfig.get().runtime.choices.sensors} makes a simulated plant measured, and data.path is a "
-            "log, which holds what its sensors gave; leave sensors out"
-        )
+        raise ValueError("sensors are those of a simulated plant, and data.path is a log; leave sensors out")
     build, folder = instantiate(cfg.world_model, _convert_="all"), Path(cfg.folder)
     if (system := instantiate(cfg.system, _convert_="all")) is not None and not cfg.data.get("path"):
         build(signature=system.signature)  # refuses functions before the plant moves
@@ -46,17 +36,15 @@ def main(cfg: Any) -> None:
     say(to_words(found, width()), f"written to {folder}", *steps)
 
 
-def load_data(cfg: Any) -> Source:
-    """Return the data of a config."""
+def load_data(cfg: Any) -> Any:
+    """Return the data of a config: a log, or what its plant does under its excitation."""
     from hydra.utils import instantiate
     from omegaconf import OmegaConf
 
-    from dynasindy.identification.identify import LoggedData
     from dynasindy.identification.source import named_rates
 
     data, system = (instantiate(cfg[name], _convert_="all") for name in ("data", "system"))
-    excitation = None if isinstance(data, LoggedData) else instantiate(cfg.excitation, _convert_="all")
-    source: Source = data.load(system, excitation)
+    source = data.load(system, None if cfg.data.get("path") else instantiate(cfg.excitation, _convert_="all"))
     library = OmegaConf.to_object(cfg.world_model).get("library")
     if source.logged and (rates := named_rates(library, source.signature)):
         OmegaConf.update(cfg, "plant.known", rates, force_add=True)  # beside those that are known
@@ -64,14 +52,7 @@ def load_data(cfg: Any) -> Source:
     return source
 
 
-def given_targets(cfg: Any) -> dict[str, Any]:
-    """Return outputs and the ends of their targets as the config has them, None of what nobody gave."""
-    from omegaconf import OmegaConf
-
-    return {key: OmegaConf.select(cfg.plant, key) for key in ("outputs", "low", "high")}
-
-
-def next_command(cfg: Any, found: Identified) -> str:
+def next_command(cfg: Any, found: Any) -> str:
     """Return the command that plans, with all that was given, and what comes of it."""
     from hydra.core.hydra_config import HydraConfig
 
@@ -80,7 +61,8 @@ def next_command(cfg: Any, found: Identified) -> str:
     from dynasindy.sentences import command_word
 
     source, job, rates = found.source, HydraConfig.get(), rates_of(found.model)
-    targets = targets_like(source, rates.values(), given_targets(cfg), found.model, closest_period(source))
+    given = {key: cfg.plant.get(key) for key in ("outputs", "low", "high")}
+    targets = targets_like(source, rates.values(), given, found.model, closest_period(source))
     mend = "mend first what is said above; this " if found.forecasts is not None and not found.predicts else ""
     of_data = () if source.logged else ("data", "refinement", "source")  # what is said of simulated data
     plan = without(job.overrides.task, "folder", "hydra", "formats", *of_data)

@@ -17,10 +17,7 @@ def main(cfg: Any) -> None:
     results = Path(cfg.results)
     files = sorted(results.glob("runs/*/config.yaml"))
     if not files and not any(results.glob("*.csv")):
-        raise ValueError(
-            f"{results} holds no run and no table, so there is nothing to report; give results=FOLDER, where they are, "
-            "runs as FOLDER/runs/NAME"
-        )
+        raise ValueError(f"{results} holds no run and no table; give results=FOLDER of tables, and runs in FOLDER/runs")
     settings = {file.parent.name: OmegaConf.to_container(read_config(file)) for file in files}
     page, *_ = build(Results(results, settings), Path(cfg.output))
     print(f"{page}, from {len(files)} saved run{'s' * (len(files) != 1)}")

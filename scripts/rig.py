@@ -1,7 +1,5 @@
 """Fly a rig: `python scripts/rig.py system=tras rig=udp rig.host=ADDRESS`; without `rig=`, a simulated one."""
 
-from __future__ import annotations
-
 import sys
 from functools import partial
 from pathlib import Path
@@ -35,14 +33,12 @@ def main(cfg: Any) -> None:
     plant = instantiate(cfg.plant, _convert_="all")
     if cfg.seconds is None or not cfg.seconds > 0 or cfg.flights < 1:
         raise ValueError(f"seconds={cfg.seconds}, flights={cfg.flights} fly nothing; give seconds > 0 and flights >= 1")
-    ends = zip(plant["outputs"], plant["low"], plant["high"], strict=True)
-    targets = {name: (low, high) for name, low, high in ends}
+    targets = {name: tuple(ends) for name, *ends in zip(plant["outputs"], plant["low"], plant["high"], strict=True)}
     guard = guard.or_limits(plant.get("bounds") or {}, wiring)
     guard.require(wiring)
     # Of an unknown plant the logs tell which rates are missing.
     known = {} if system.known and plant.get("known") is None else plant.get("known")
-    planning = dict(cfg.planner or {})
-    knowledge = Knowledge(plant["library"], known, targets, cfg.longest_delay, planning, ranged=system.known)
+    knowledge = Knowledge(plant["library"], known, targets, cfg.longest_delay, dict(cfg.planner or {}), system.known)
     wanted = knowledge.within(cfg.targets)
     given = load(cfg.controller) if cfg.controller else None
     if given is None:

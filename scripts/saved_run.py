@@ -1,6 +1,7 @@
 """Runs of the main job: trained on a plant, planned from a log alone, and loaded again for their policy."""
 
 import hashlib
+import re
 import shlex
 import shutil
 import subprocess
@@ -12,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from cli import CONF, IN_CLONE, command_line, group_options, improvements, next_steps, program, run_steps, without
+from cli import CONF, IN_CLONE, command_line, group_options, next_steps, program, run_steps, without
 from command import compose, unknown_name
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
-from identify import given_targets, load_data
+from identify import load_data
 from omegaconf import DictConfig, OmegaConf
 from settings import check, plugins_of, read_config
 
@@ -44,6 +45,9 @@ from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.viz.controllers import controller_name, name_by_planning
 from dynasindy.workbench import damped, forecast, log_report, model_of, plan, refit_shortage
 
+IDENTIFYING = ("system", "data", "plant", "world_model", "refinement", "source", "longest_delay", "threads")
+"""Words of `train` that say how a log is identified; `identify` has them too."""
+
 
 def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
     """Run the experiment of a config, unless it has ended before, draw its figures and print what came of it.
@@ -55,10 +59,8 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
     if cfg.resume is not None:
         cfg = _resumed(cfg, job)
     if cfg.system is None:
-        raise ValueError(
-            f"system={job.runtime.choices.system} is no plant to train on, only a log of one; choose another, or fit a "
-            f"model to the log: {program('identify')} data=csv data.path=FILE"
-        )
+        instead = f"choose another, or fit a model to the log: {program('identify')} data=csv data.path=FILE"
+        raise ValueError(f"system={job.runtime.choices.system} is no plant to train on, only a log of one; {instead}")
     folder, begun = Path(cfg.folder), cfg.copy()
     begun.resume, begun.finish = None, False  # a run that is resumed before its first checkpoint writes them anew
     config = OmegaConf.to_yaml(begun, resolve=True)  # before anything is built, which names what is not given less well
@@ -89,18 +91,41 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
     return good and (controlled or not cfg.evaluation.get("must_control"))
 
 
+def improvements(
+    run: object, words: Sequence[str], episodes: int | None = None, checked: bool = True, imagined: float | None = None
+) -> str:
+    """Return what helps where the plant is not controlled: where the loop is weak, and more or better data.
+
+    A plan from a log has no real `episodes`; `imagined` is the error at the end of imagined ones [target ranges].
+    """
+    steps = []
+    if checked:
+        steps.append(command_line("check", [f"run={run}"], "tells at which targets the loop is weak, and how"))
+    if episodes is not None and not any(word.startswith("resume=") for word in words):
+        key, value, does = "train.episodes", max(3, 2 * episodes), "flies more episodes, whose data mend the model"
+        if imagined is not None and imagined > WITHIN:  # where the model is not what fails
+            key, value = "planning.updates", 3000
+            does = f"plans longer: in the model, too, targets are missed by {100 * imagined:.2g} %"
+        kept = [word for word in words if not re.fullmatch("experiment=.*smoke", word)]  # which learns too little
+        steps.append(command_line("train", [*without(kept, key, "folder", "finish"), f"{key}={value}"], does))
+    if episodes is None and any(word.startswith("data.path=") for word in words):
+        others = without(words, *IDENTIFYING)
+        lacks = "tells what the log lacks: what to record, or which functions"
+        steps.append(command_line("identify", [word for word in words if word not in others], lacks))
+    return next_steps(*steps)
+
+
 def _resumed(cfg: DictConfig, job: DictConfig) -> DictConfig:
     """Return the config of the run to resume, in the folder where it is now."""
     own = ("resume", "finish", "threads", "plugins", "device")
     if others := [word for word in job.overrides.task if word.partition("=")[0] not in own]:
         raise ValueError(f"resume={cfg.resume} goes on with the run's own settings; leave out {' '.join(others)}")
-    folder = Path(cfg.resume)
-    saved = load_config(folder, cfg.plugins)
+    folder, saved = Path(cfg.resume), load_config(Path(cfg.resume), cfg.plugins)
     ended = (folder / "metrics.json").is_file() and not (folder / "checkpoints").is_dir()
     if ended and result(folder, saved.train.episodes) is None:
         raise ValueError(f"{folder} holds results and no checkpoint to go on from; give the folder of a stopped run")
-    given = {name: cfg[name] for name in own if name != "plugins"}
-    return DictConfig({**saved, **given, "folder": str(folder.absolute())})
+    new = {"folder": str(folder.absolute()), **{name: cfg[name] for name in own if name != "plugins"}}
+    return DictConfig({**saved, **new})
 
 
 def command_and_commit(job: DictConfig) -> dict[str, str]:
@@ -108,9 +133,9 @@ def command_and_commit(job: DictConfig) -> dict[str, str]:
 
     An installed package is in none, though it may lie in one of the user's.
     """
-    git = ["git", "-C", str(CONF.parent), "describe", "--always", "--dirty", "--exclude", "*"]
-    asked = IN_CLONE and shutil.which("git") is not None
-    commit = subprocess.run(git, capture_output=True, text=True).stdout.strip() if asked else ""
+    commit, git = "", ["git", "-C", str(CONF.parent), "describe", "--always", "--dirty", "--exclude", "*"]
+    if IN_CLONE and shutil.which("git"):
+        commit = subprocess.run(git, capture_output=True, text=True).stdout.strip()
     return {"command": " ".join([program(job.job.config_name), *job.overrides.task]), "commit": commit or "unknown"}
 
 
@@ -125,7 +150,7 @@ def prepare(cfg: DictConfig) -> tuple[dict[str, Any], Source | None, dict[str, A
     if cfg.get("data") is None and cfg.system is not None:
         raise ValueError("model=PATH plans without a plant, and system names one; leave system out")
     source = None if cfg.get("data") is None else load_data(cfg)
-    targets = given_targets(cfg)
+    targets = {key: cfg.plant.get(key) for key in ("outputs", "low", "high")}
     if lacking := [name for name, value in targets.items() if value is None]:
         like: dict[str, list[str]] = {"outputs": ["angle"], "low": ["-0.5"], "high": ["0.5"]}
         if source is not None and targets["outputs"] is not None:  # where most of its samples lie
@@ -133,8 +158,7 @@ def prepare(cfg: DictConfig) -> tuple[dict[str, Any], Source | None, dict[str, A
                 source.signature.state_index(str(name))  # which says what there is instead of an unknown one
             like = targets_like(source, (), targets) or like
         words = " ".join(command_word(f"plant.{name}", values) for name, values in like.items())
-        what = "say what is to be tracked, and within which targets, such as"
-        raise ValueError(f"plant.{lacking[0]} is not given; {what} {words}")
+        raise ValueError(f"plant.{lacking[0]} is not given; say what is to be tracked within which targets, as {words}")
     build = instantiate(cfg.planning, _convert_="all")
     if not isinstance(build, partial) or build.func is not GradientPlanning:
         raise ValueError("without a plant a policy is planned through the model's gradient; leave planning=gradient")
@@ -175,11 +199,10 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
     write_text(folder / "config.yaml", settings)  # before the plan, which may fail
     write_json(folder / "origin.json", {**command_and_commit(HydraConfig.get()), "read": read})
     model.save(folder / "model.json")
+    dt, why = closest_period(source, cfg.env.dt), None
     if cfg.env.dt == PERIOD and not any(word.lstrip("+").startswith("env.dt=") for word in words):
         dt, why = suited_period(model, task, source)
-    elif (dt := closest_period(source, cfg.env.dt)) == cfg.env.dt or source is None:
-        why = None
-    else:
+    elif source is not None and dt != cfg.env.dt:
         why = note("control.sampled", seconds=dt, wanted=cfg.env.dt, step=source.training.dt)
     say(*lines(filter(None, [why, refit_shortage(model, source)])))
     try:
@@ -202,8 +225,8 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
         draw_evaluation(flown, figures, controller_name("gradient"), tuple(cfg.formats), prediction.place)
     say(log_report(model, prediction), f"Controller: {folder / NAME}", *model.signature.own_inputs())
     if not swept:
-        steps = next_steps(*run_steps(folder, "check", "export"))
-        say(steps if prediction.controlled else improvements(folder, words))
+        good = prediction.controlled
+        say(next_steps(*run_steps(folder, "check", "export")) if good else improvements(folder, words))
     return prediction.controlled or not cfg.evaluation.get("must_control")
 
 
@@ -218,9 +241,8 @@ def _digests(cfg: DictConfig) -> dict[str, str]:
 def _finished(folder: Path, settings: str, read: Mapping[str, str]) -> bool:
     """Return whether a folder holds a finished job of the same settings and files."""
     with suppress(OSError, KeyError, ValueError):
-        origin, metrics = (read_json(folder / f"{name}.json") for name in ("origin", "metrics"))
-        same = (folder / "config.yaml").read_text() == settings and origin["read"] == read
-        return same and "controlled" in metrics["prediction"]
+        same = (folder / "config.yaml").read_text() == settings and read_json(folder / "origin.json")["read"] == read
+        return same and "controlled" in read_json(folder / "metrics.json")["prediction"]
     return False
 
 
@@ -257,17 +279,15 @@ def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
 
 def load_sensing(config: DictConfig, folder: Path, env: ControlEnv) -> Sensing | None:
     """Return sensors and observer through which the policy of a run sees the plant, None if it sees all states."""
-    sensors = instantiate(config.get("sensors"), _convert_="all")
-    if sensors is None:
-        if not (folder / "observer.json").is_file():
-            return None
-        # A delay was found, for which an observer makes up.
-        sensors = Sensors(dict.fromkeys(env.system.signature.state_names, Channel()))
+    file, sensors = folder / "observer.json", instantiate(config.get("sensors"), _convert_="all")
+    if sensors is None and not file.is_file():
+        return None
+    # Without sensors a delay was found, for which an observer makes up.
+    sensors = sensors or Sensors(dict.fromkeys(env.system.signature.state_names, Channel()))
     model = instantiate(config.world_model, _convert_="all")(signature=env.system.signature)
     if not isinstance(model, Oracle):
         model = SindyModel.load(folder / "model.json")
-    observer, file = Observer(model, sensors, env), folder / "observer.json"
-    record = read_json(file)
+    observer, record = Observer(model, sensors, env), read_json(file)
     with reading(file):
         observer.load_state_dict(record)
     return Sensing(env, observer, torch.Generator())

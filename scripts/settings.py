@@ -14,16 +14,16 @@ from dataclasses import is_dataclass
 from functools import cache, partial
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints, is_typeddict
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import yaml
 from cli import CONF
 from command import nodes, unknown_name
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationResolutionError, InterpolationToMissingValueError
-from pydantic import BeforeValidator, ConfigDict, Field, PlainValidator, StrictBool, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, Field, PlainValidator, StrictBool, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
-from typing_extensions import TypedDict
+from typing_extensions import is_typeddict
 
 from dynasindy.identification.source import DataSource
 from dynasindy.safe_io import read_text, reading
@@ -46,7 +46,6 @@ PLUGINS = "DYNASINDY_PLUGINS"
 """Environment variable that names packages of plug-ins, with commas or spaces between them."""
 GIVEN = {"signature", "dt", "system", "task", "n_u", "n_obs", "env", "agent", "replay", "policy", "x", "u", "x_next"}
 """Arguments that an experiment hands to what a config builds with `_partial_`."""
-SOME = Field(min_length=1)
 Seconds = Annotated[float, Field(gt=0, le=1e5)]
 LARGEST = 1e19
 """Squares of larger numbers, and of numbers smaller than its inverse, are no float32."""
@@ -59,14 +58,13 @@ TOP: dict[str, Any] = {
     **dict.fromkeys(("folder", "results", "output", "device", "refinement", "error_shape"), str),
     **dict.fromkeys(("integral", "animate", "finish", "tensorboard"), bool),
     **dict.fromkeys(("evaluation.must_improve", "evaluation.must_control"), bool),
-    **{"plugins": list[str], "scenarios": Annotated[list[str], SOME], "plant.outputs": list[str]},
+    **{"plugins": list[str], "scenarios": Annotated[list[str], Field(min_length=1)], "plant.outputs": list[str]},
     "formats": list[Literal["png", "svg", "pdf", "eps", "jpg", "jpeg", "tif", "tiff", "webp"]],
     **{"source": Literal["simulated", "logged"], "plant.libraries": dict[Literal["simulated", "logged"], str]},
     "longest_delay": Annotated[float, Field(ge=0)] | None,
     **{"evaluation.every": Annotated[int, Field(ge=1)], "checkpoint.every": Annotated[int, Field(ge=0)]},
     **{"evaluation.within": Annotated[float, Field(gt=0)], "dt": Seconds, "seconds": Seconds | None, "flights": int},
-    **{"targets": Annotated[list[list[float]], SOME] | None, "planner": dict[str, Any] | None},
-    **dict.fromkeys(("low", "high"), list[float] | None),
+    **{"targets": Annotated[list[list[float]], Field(min_length=1)] | None, "planner": dict[str, Any] | None},
     **dict.fromkeys(("plant.low", "plant.high"), list[float]),
     **dict.fromkeys(("plant.known", "plant.functions"), dict[str, str] | None),
     **dict.fromkeys(("plant.amplitude", "plant.offset"), float | list[float]),
@@ -93,14 +91,10 @@ def read_config(file: Path) -> DictConfig:
                 depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
                 anchor, tag, value = (getattr(event, name, None) for name in ("anchor", "tag", "value"))
                 if anchor or tag or "${" in (value or "") or depth > DEPTH:  # an alias has an anchor, too
-                    line = event.start_mark.line + 1
-                    raise ValueError(f"line {line} is no plain key and value, as a run writes them")
-            config = OmegaConf.create(text)
+                    raise ValueError(f"line {event.start_mark.line + 1} is no plain key and value, as runs write them")
+            return OmegaConf.merge({}, OmegaConf.create(text))  # which takes keys and values alone
         except (yaml.YAMLError, AssertionError) as error:  # OmegaConf asserts that a text is no single number
             raise ValueError(str(error) or "it does not hold keys and values") from error
-        if not isinstance(config, DictConfig):
-            raise TypeError("it does not hold keys and values")
-    return config
 
 
 def plugins_of(cfg: DictConfig) -> tuple[str, ...]:
@@ -168,14 +162,11 @@ def check(cfg: DictConfig, file: str = "", plugins: Sequence[str] = ()) -> None:
     """
     raw: Any = OmegaConf.to_container(cfg, resolve=False)
     if isinstance(raw.get("system"), dict) and raw["system"].keys() & {"system", "plant"}:
-        raise ValueError(
-            "system holds a group of keys that belongs beside it, as a plant's file does without its header: "
-            "let '# @package _global_' be the first line of the file that `system=` names"
-        )
+        raise ValueError("the file of the plant lacks its header: let '# @package _global_' be its first line")
     try:
         tree: Any = OmegaConf.to_container(cfg, resolve=True)
         if "train" not in tree and not file and (tree.get("data") or {}).get("path"):
-            tree.pop("excitation", None)  # nothing is excited where there is a log
+            tree.pop("excitation", None)  # nothing is excited where there is a log, and its classes import TensorDict
         if file:
             require_trusted(raw, plugins)
         else:  # what a run read is all that its file holds
@@ -189,23 +180,21 @@ def check(cfg: DictConfig, file: str = "", plugins: Sequence[str] = ()) -> None:
     except InterpolationToMissingValueError:  # a log's config names no plant yet, and the command says which there are
         return
     except InterpolationResolutionError as error:
-        what = f"{error.full_key} is taken from what is not given, or no group of keys"
-        raise ValueError(f"{file}: {what}; give the keys as conf/ does".removeprefix(": ")) from error
+        what = f"{error.full_key} is taken from what is not given, or no group of keys; give the keys as conf/ does"
+        raise ValueError(f"{file}: {what}".removeprefix(": ")) from error
     except ValueError as error:
-        raise ValueError(f"{file}: {error}" if file else str(error)) from error
+        raise ValueError(f"{file}: {error}".removeprefix(": ")) from error
 
 
 def _require_plant_settings(tree: Any, text: str) -> None:
-    """Refuse settings of a plant that nothing reads; they may be those of another group."""
-    keys = (f"{group}.{name}" for group, node in nodes(tree) for name in node if not re.search(r"\[|^(plant|$)", group))
-    others = sorted(keys, key=lambda key: key.count("."))
+    """Refuse settings of a plant that nothing reads."""
     conf = " ".join(file.read_text() for file in CONF.rglob("*.yaml"))
     read = {"plant.functions", "plant.libraries", *re.findall(r"\bplant(?:\.\w+)+", conf + text)}
-    for group, node in nodes({"plant": tree.get("plant")}):
+    groups = dict(nodes({"plant": tree.get("plant")}))
+    for group in ("plant", "plant.signals"):
         allowed = {key.removeprefix(f"{group}.").partition(".")[0] for key in read if key.startswith(f"{group}.")}
-        for name in node if group in ("plant", "plant.signals") else ():
-            if name not in allowed:
-                raise ValueError(unknown_name(str(name), allowed, group, others))
+        for name in [str(name) for name in groups.get(group, ()) if name not in allowed]:
+            raise ValueError(unknown_name(name, allowed, group))
 
 
 def _values(tree: Any, finished: bool) -> Iterator[tuple[str, Any, Any]]:
@@ -248,13 +237,12 @@ def parameters(builder: Any) -> tuple[dict[str, Any], set[str], bool]:
     except (NameError, TypeError, ValueError, AttributeError):  # another library's, that does not say
         return {}, set(), True
     named = [p for p in parameters if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)]
-    found, free = {p.name: hints.get(p.name, Any) for p in named}, False
-    for rest in (hints.get(p.name) for p in parameters if p.kind is p.VAR_KEYWORD):
-        # Unpack[a TypedDict], or Annotated[Any, a dataclass], say what else is taken; others take anything.
-        inner = get_args(rest)
-        found |= get_type_hints(inner[-1], include_extras=True) if inner else {}
-        free = free or not inner
-    return found, {p.name for p in named if p.default is p.empty}, free
+    found = {p.name: hints.get(p.name, Any) for p in named}
+    # Unpack[a TypedDict], or Annotated[Any, a dataclass], say what else is taken; others take anything.
+    rest = [get_args(hints.get(p.name)) for p in parameters if p.kind is p.VAR_KEYWORD]
+    for *_, inner in filter(None, rest):
+        found |= get_type_hints(inner, include_extras=True)
+    return found, {p.name for p in named if p.default is p.empty}, () in rest
 
 
 def _fit(value: Any, hint: Any, key: str) -> Any:
@@ -269,15 +257,14 @@ def _fit(value: Any, hint: Any, key: str) -> Any:
             for step in each["loc"]:  # among them are the options of a union, which are no keys
                 if step in at if isinstance(at, Mapping) else isinstance(at, list) and step in range(len(at)):
                     place, at = (*place, step), at[step]
-            plain = re.sub(
-                r"^(Value error, |List should have )?(Input should be )?| after validation, .*", "", each["msg"]
-            )
+            plain = re.sub("Value error, |Input should be |List should have | after validation, .*", "", each["msg"])
             words = {"extra_forbidden": "no such key", "missing": "one value more", "dict_type": "a group of keys"}
             found.setdefault(place, (at, []))[1].append(words.get(each["type"], plain))
         place, (at, allowed) = max(found.items(), key=lambda item: len(item[0]))
         where = key + "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place)
-        options = " or ".join(dict.fromkeys(allowed))
-        raise ValueError(f"{where}={_shown(at)}; allowed is {options}: correct it") from None
+        raise ValueError(
+            f"{where}={_shown(at)}; allowed is {' or '.join(dict.fromkeys(allowed))}: correct it"
+        ) from None
 
 
 def _checked(hint: Any) -> Any:
@@ -291,11 +278,7 @@ def _checked(hint: Any) -> Any:
         return Annotated[(inner, *limits)] if limits else inner
     if kind in (Union, dict, list, tuple) and options:
         return kind[tuple(each if each is Ellipsis else _checked(each) for each in options)]
-    if is_typeddict(kind):
-        made = TypedDict("group", {k: NotRequired[_checked(h)] for k, h in get_type_hints(kind).items()})  # type: ignore[operator]
-        made.__pydantic_config__ = ConfigDict(extra="forbid")
-        return made
-    if kind in (NoneType, Any, Literal, object, dict, list, tuple):
+    if kind in (NoneType, Any, Literal, object, dict, list, tuple) or is_typeddict(kind):
         return hint
     return PLAIN.get(kind, Annotated[Any, PlainValidator(partial(_require_builder, hint))])
 
@@ -340,10 +323,8 @@ def _builder(node: Mapping[str, Any], key: str) -> Any:
         raise TypeError("it is nothing that can be called")
     except Exception as error:  # importing runs whatever module is named
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        raise ValueError(
-            f"{key}._target_ is {_shown(node['_target_'])}, which cannot be imported ({reason}); allowed is the dotted "
-            "path of a class or function: correct it, or install its package, or name its folder by PYTHONPATH"
-        ) from error
+        hint = "give the dotted path of a class or function, install its package, or name its folder by PYTHONPATH"
+        raise ValueError(f"{key}._target_={_shown(node['_target_'])} cannot be imported ({reason}); {hint}") from error
 
 
 def _shown(value: Any) -> str:

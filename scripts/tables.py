@@ -5,8 +5,6 @@ name below. A number that changes in a file changes in the pages by this command
 that are finished change no more, and need no function.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -120,8 +118,7 @@ def rig_models() -> Rows:
 
 def plants() -> Rows:
     yield "plant", "held to 1 %", "error of the worst seed", "data"
-    found = rows("plants.csv")
-    found = found[found.error_percent != ""]
+    found = rows("plants.csv").query("error_percent != ''")
     for plant, own in sorted(found.groupby("plant", sort=False), key=lambda pair: pair[0].endswith("_bench")):
         held = own[own.verdict == "CONTROLLED"].seed.nunique()
         error, seconds = worst(own, "error_percent"), worst(own, "plant_seconds")

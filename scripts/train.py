@@ -8,11 +8,10 @@ from cli import command
 
 def train(cfg: Any) -> None:
     """Train on a plant, or plan from a log, and end with 1 where what came of it is not what the config wants."""
-    from hydra.core.hydra_config import HydraConfig
-    from hydra.types import RunMode
+    from command import output
     from saved_run import plan_from_log, train_on_plant
 
-    swept = HydraConfig.get().mode == RunMode.MULTIRUN
+    _, swept = output()
     work = train_on_plant if cfg.get("data") is None and cfg.model is None else plan_from_log
     if not work(cfg, swept) and not swept:
         sys.exit(1)

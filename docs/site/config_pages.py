@@ -15,9 +15,10 @@ from dataclasses import dataclass, is_dataclass, replace
 from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints, is_typeddict
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import yaml
+from typing_extensions import is_typeddict
 
 REPOSITORY = Path(__file__).parents[2]
 sys.path += [str(REPOSITORY), str(REPOSITORY / "scripts")]  # MkDocs takes them back when this file is read

@@ -9,7 +9,6 @@ from typing import Annotated
 
 import pydantic
 import torch
-from pydantic import Field
 from torch import Tensor
 
 from dynasindy.checking.closed_loop import ClosedLoop, LoopSimulation
@@ -66,11 +65,11 @@ class Settings:
 
     low: tuple[float, ...]
     high: tuple[float, ...]
-    points: Annotated[int, Field(ge=1, le=50)] = 3  # their number grows with the power of the outputs
-    seconds: Annotated[float, Field(gt=0, le=1e5)] | None = None
-    reach: Annotated[float, Field(gt=0, le=1e5)] = 1.0
-    grid: Annotated[int, Field(ge=2, le=100)] = 11  # with whose square flights grow
-    draws: Annotated[int, Field(ge=0, le=10_000)] = 20
+    points: Annotated[int, pydantic.Field(ge=1, le=50)] = 3  # their number grows with the power of the outputs
+    seconds: Annotated[float, pydantic.Field(gt=0, le=1e5)] | None = None
+    reach: Annotated[float, pydantic.Field(gt=0, le=1e5)] = 1.0
+    grid: Annotated[int, pydantic.Field(ge=2, le=100)] = 11  # with whose square flights grow
+    draws: Annotated[int, pydantic.Field(ge=0, le=10_000)] = 20
     seed: int = 0
     start: Mapping[str, Ends] = field(default_factory=dict)
     bounds: Mapping[str, Ends] = field(default_factory=dict)

@@ -10,10 +10,12 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Literal, TypedDict
+from typing import Literal
 
 import torch
+from pydantic import with_config
 from torch import Tensor
+from typing_extensions import TypedDict
 
 from dynasindy.limits import Count
 
@@ -169,6 +171,7 @@ class Wave(Reference):
         return params
 
 
+@with_config(extra="forbid")
 class Signal(TypedDict, total=False):
     """What a plant's file may say of a wave; the rest follows from the plant.
 

@@ -18,6 +18,13 @@ def steps(monkeypatch):
     return cli
 
 
+@pytest.fixture
+def improvements(steps):
+    import saved_run
+
+    return saved_run.improvements
+
+
 def read(line):
     """Return what a shell makes of a command."""
     return shlex.split(line, comments=True)
@@ -50,28 +57,28 @@ def test_a_command_has_the_folder_of_the_users_settings(steps, monkeypatch):
     assert read(check)[1] == "scripts/check.py"
 
 
-def test_a_plant_that_is_not_controlled_is_offered_a_look_and_more_episodes_but_no_export(steps):
+def test_a_plant_that_is_not_controlled_is_offered_a_look_and_more_episodes_but_no_export(improvements):
     words = ["system=xi", "train.episodes=2", "folder=runs/a b", "hydra.run.dir=x"]
-    head, check, more = steps.improvements("runs/a b", words, 2).split("\n")
+    head, check, more = improvements("runs/a b", words, 2).split("\n")
     assert head == "next:" and read(check) == ["python", "scripts/check.py", "run=runs/a b"]
     assert read(more)[2:] == ["system=xi", "hydra.run.dir=x", "train.episodes=4"]
     for smoke in ("experiment=smoke", "experiment=gradient_smoke"):
-        tried = steps.improvements("a", ["system=xi", smoke, "train.episodes=2", "seed=3"], 2).split("\n")
+        tried = improvements("a", ["system=xi", smoke, "train.episodes=2", "seed=3"], 2).split("\n")
         assert read(tried[2])[2:] == ["system=xi", "seed=3", "train.episodes=4"]
-    assert steps.improvements("a", ["resume=a"], 2).count("\n") == 1  # a run that goes on takes no other settings
-    (_, more) = steps.improvements("a", ["system=xi"], 1, checked=False, imagined=0.02).split("\n")
+    assert improvements("a", ["resume=a"], 2).count("\n") == 1  # a run that goes on takes no other settings
+    (_, more) = improvements("a", ["system=xi"], 1, checked=False, imagined=0.02).split("\n")
     assert "system=xi planning.updates=" in more and "train.episodes" not in more  # the model is not what fails
-    (_, more) = steps.improvements("a", [], 1, checked=False).split("\n")
+    (_, more) = improvements("a", [], 1, checked=False).split("\n")
     assert read(more)[2:] == ["train.episodes=3"]
 
 
-def test_a_plan_from_a_log_that_does_not_hold_is_offered_what_the_log_lacks(steps):
+def test_a_plan_from_a_log_that_does_not_hold_is_offered_what_the_log_lacks(improvements):
     words = ["data=csv", "data.path=my log.csv", "plant.outputs=[angle]", "system=tras", "planning.lr=1"]
     words.append("plant.known={angle: rate}")
-    _, check, identify = steps.improvements("a", words).split("\n")
+    _, check, identify = improvements("a", words).split("\n")
     assert "check.py run=a" in check
     assert read(identify) == ["python", "scripts/identify.py", *(w for w in words if not w.startswith("planning"))]
-    assert "identify" not in steps.improvements("a", ["model=model.json"])
+    assert "identify" not in improvements("a", ["model=model.json"])
 
 
 def test_the_command_that_builds_parts_of_the_users_own_names_their_packages(steps):

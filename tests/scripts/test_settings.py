@@ -70,7 +70,6 @@ def test_a_number_of_another_type_becomes_what_is_wanted(key, given, taken):
     [
         ("export", "formats=[png]", ("c", "onnx", "fmu", "model")),
         ("export", "fmi=1", ("2", "3")),
-        ("check", "low=[x]", ()),
         ("evaluate", "formats=[onnx]", ("png", "svg")),
     ],
 )
@@ -101,7 +100,6 @@ def test_a_key_that_is_misspelt_or_stands_elsewhere_is_offered(word, hint):
         ("+plant.strat={theta: 1}", "'start'"),
         ("+plant.signals.stepp=[[0.1]]", "'step'"),
         ("+plant.mass=2", "'mass'"),
-        ("+plant.dt=2", "'env.dt'"),
     ],
 )
 def test_a_setting_of_a_plant_that_nothing_reads_is_refused(word, meant):
