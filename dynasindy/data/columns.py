@@ -32,6 +32,7 @@ from dynasindy.data.headings import (
 from dynasindy.data.table import COUNTED, Table, counts, grows, read_columns
 from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.safe_io import checked_class
+from dynasindy.sentences import LEFT_OUT
 
 Array = NDArray[np.float64]
 
@@ -243,19 +244,7 @@ def infer(
         }
         led = []
     out = list[Finding]()
-    for reason in (
-        "constant",
-        "counter",
-        "words",
-        "empty",
-        "dates",
-        "reference",
-        "label",
-        "derived",
-        "noise",
-        "shifted",
-        "direct",
-    ):
+    for reason in LEFT_OUT:
         those: Any = [name for name, kind in why.items() if kind == reason]
         if reason == "constant":
             those = {name: float(np.nanmax(table.column(columns[name].name))) for name in those}

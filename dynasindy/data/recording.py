@@ -20,7 +20,7 @@ from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
 from dynasindy.data.columns import Column, as_map, find_clock, infer, with_units
 from dynasindy.data.headings import NAME, find_names, in_radians, named_by, split_unit
 from dynasindy.data.rates import require_consistent_rates
-from dynasindy.data.resampling import EVEN, resample
+from dynasindy.data.resampling import EVEN, GAP, JUMP, resample
 from dynasindy.data.table import correct_map, read_columns, select_columns
 from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.sentences import lines as lines_of
@@ -39,6 +39,8 @@ LEAST = 50
 """Fewest transitions that are worth a fit, and samples of each state."""
 FAULTY = 0.05
 """Part of the samples in which a sensor fails at most, and of the range by which it is off at least."""
+FAR = 10
+"""Times the largest other step between rows from which on one is none that a plant makes."""
 LONG = 10
 """Usual distances between two samples of a state from which on what lies between them is a gap."""
 
@@ -282,6 +284,7 @@ class LogReader:
         sound = ((name, _without_spikes(name, x, lines, findings), unit) for name, (x, unit) in measured.items())
         x = {name: unwrap_angle(name, column, unit, findings) for name, column, unit in sound}
         u = np.stack([columns[c.name] * c.scale for c in inputs.values()], -1)
+        findings += (each for name, column in x.items() for each in _jumps(name, column, t, u, lines))
         said += self._of_file(path, [*of_time, *findings])
         return _Part(path, states, inputs, t, x, u)
 
@@ -408,11 +411,24 @@ def unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Arr
             seen = {"times": int(jumps.sum()), "counts": turn not in turns}
             findings.append(note("log.unwrapped", state=name, turn=turn, **seen))
             return found
-    jumps = np.abs(steps) > 0.8 * width
-    if 1 < jumps.sum() <= FAULTY * len(steps) and np.abs(steps[~jumps]).max() < 0.25 * width:
-        states = {name: {"name": name, "unit": "turn", "scale": float(f"{1 / width:.4g}")}}
-        findings.append(weak("log.jumps", state=name, size=width, times=int(jumps.sum()), states=states))
     return x
+
+
+def _jumps(name: str, x: Array, t: Array, u: Array, lines: pd.Index) -> list[Finding]:
+    """Tell of a few steps from row to row that are far beyond all others at which an input jumps, or none does."""
+    rows = np.flatnonzero(np.isfinite(x))
+    steps, ahead = np.abs(np.diff(x[rows])), np.diff(t[rows])
+    driven = (np.abs(np.diff(u[rows], axis=0)) > JUMP * np.ptp(u, axis=0)).any(1)
+    for alike in (driven, ~driven) if len(steps) else ():
+        alike = alike & (ahead < GAP * np.median(ahead))
+        sizes = np.sort(steps[alike])[::-1][: 2 + int(FAULTY * alike.sum())]
+        far = np.flatnonzero(sizes[:-1] > FAR * sizes[1:])
+        if len(far) and sizes[far[-1] + 1] > 0:
+            first = int(lines[rows[1 + (alike & (steps >= sizes[far[-1]])).argmax()]])
+            facts = {"times": int(far[-1]) + 1, "size": float(sizes[0]), "usual": float(sizes[far[-1] + 1])}
+            turn = {name: {"name": name, "unit": "turn", "scale": float(f"{1 / np.ptp(x[rows]):.4g}")}}
+            return [weak("log.jumps", state=name, line=first, **facts, states=turn)]
+    return []
 
 
 def _turns_seen(steps: Array, rows: NDArray[np.int64], width: float, unit: str) -> tuple[float, ...]:

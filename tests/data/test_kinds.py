@@ -123,17 +123,20 @@ def test_a_place_that_jumps_by_its_range_goes_on_whatever_its_unit_and_range(uni
         assert np.ptp(found - whole) < 1e-9 * turn
 
 
-def test_what_is_emptied_from_row_to_row_stays_and_is_told_with_the_setting_that_unwraps_it():
+def test_what_is_emptied_or_set_anew_stays_and_is_told_with_the_setting_that_unwraps_it(tmp_path):
     level = np.zeros(ROWS)
     for k in range(1, ROWS):
         level[k] = level[k - 1] + 1.7 + 0.5 * np.sin(k / 30)
         level[k] = 0.0 if level[k] > 100 else level[k]
-    told = []
-    assert np.array_equal(unwrap_angle("q", level, "mm", told), level)
-    (found,) = told
-    assert (found.code, found.severity, found.values["times"]) == ("log.jumps", "weak", 6)
-    column = found.values["states"]["q"]
-    assert np.ptp(np.diff(unwrap_angle("q", level * column["scale"], column["unit"], told))) < 0.03
+    moved = ANGLE + 20.0 * (np.arange(ROWS) > 150)
+    for column, times, line in ((level, 6, 2 + int((np.diff(level) < 0).argmax()) + 1), (moved, 1, 153)):
+        found = recording(path := tmp_path / "l.csv", "time,x [mm],u", T, column, COMMAND)
+        assert np.array_equal(found.transitions.x[:, 0].numpy(), column[:-1])
+        (told,) = (each for each in found.findings if each.code == "log.jumps")
+        assert (told.severity, told.values["times"], told.values["line"]) == ("weak", times, line)
+        if times > 1:
+            turned = LoggedData(str(path), states=told.values["states"], inputs=["u"]).recording(None)
+            assert "log.unwrapped" in [each.code for each in turned.findings]
 
 
 LEVEL = np.interp(T, [0, 1.5, 1.8, 3.3, 3.6, 4], [0, 355, 2, 355, 1, 90])  # of a tank that is emptied
