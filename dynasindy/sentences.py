@@ -478,9 +478,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         f"{state} jumps by {turn:.6g} {times} times and was unwrapped, as a controller has to do"
         + ("" if counts else "; a unit that is none of an angle keeps it as it is")
     ),
-    "log.jumps": "{state} jumps {times} times by up to {size:.4g}, first in line {line}, and else moves by at most "
-    "{usual:.4g} from row to row. If it goes round, give the length of a turn, here 1 / scale: {states:data.states}; "
-    "if it was set anew, or its unit changed, split the log there",
+    "log.jumps": "{state} jumps {times} times by up to {size:.4g}, first after {after:.6g} s, and else moves by at "
+    "most {usual:.4g} from row to row. If it goes round, give the length of a turn, here 1 / scale: "
+    "{states:data.states}; if it was set anew, or its unit changed, split the log there",
     "log.long_gap": "{rows} rows in stretches of more than {longest:g} rows without {state} were left out",
     "log.gaps": "{count} gaps longer than 1.5 sampling times split the recording",
     "log.resampled": "{count} of {total} sampling times are not {dt:g} s; states were resampled by splines, inputs, "

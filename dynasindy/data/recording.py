@@ -184,6 +184,7 @@ class LogReader:
         for part in parts:
             t, x, u, segment = resample(part.t, part.x, (part.u - rest) / unit, dt, said := list[Finding]())
             usable = ~(_long_gaps(x, segment, said) | _stops(x, said))
+            said += (each for name, column in x.items() for each in _jumps(name, column, t, u, usable))
             full = np.stack([x.get(name, np.full(len(t), np.nan)) for name in states], -1)
             sizes = np.maximum(sizes, np.abs(np.nan_to_num(full)).max(0, initial=0.0))
             pieces.append(_transitions(full, u, segment, usable, dt))
@@ -284,7 +285,6 @@ class LogReader:
         sound = ((name, _without_spikes(name, x, lines, findings), unit) for name, (x, unit) in measured.items())
         x = {name: unwrap_angle(name, column, unit, findings) for name, column, unit in sound}
         u = np.stack([columns[c.name] * c.scale for c in inputs.values()], -1)
-        findings += (each for name, column in x.items() for each in _jumps(name, column, t, u, lines))
         said += self._of_file(path, [*of_time, *findings])
         return _Part(path, states, inputs, t, x, u)
 
@@ -414,9 +414,9 @@ def unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Arr
     return x
 
 
-def _jumps(name: str, x: Array, t: Array, u: Array, lines: pd.Index) -> list[Finding]:
+def _jumps(name: str, x: Array, t: Array, u: Array, usable: NDArray[np.bool_]) -> list[Finding]:
     """Tell of a few steps from row to row that are far beyond all others at which an input jumps, or none does."""
-    rows = np.flatnonzero(np.isfinite(x))
+    rows = np.flatnonzero(np.isfinite(x) & usable)
     steps, ahead = np.abs(np.diff(x[rows])), np.diff(t[rows])
     driven = (np.abs(np.diff(u[rows], axis=0)) > JUMP * np.ptp(u, axis=0)).any(1)
     for alike in (driven, ~driven) if len(steps) else ():
@@ -424,10 +424,10 @@ def _jumps(name: str, x: Array, t: Array, u: Array, lines: pd.Index) -> list[Fin
         sizes = np.sort(steps[alike])[::-1][: 2 + int(FAULTY * alike.sum())]
         far = np.flatnonzero(sizes[:-1] > FAR * sizes[1:])
         if len(far) and sizes[far[-1] + 1] > 0:
-            first = int(lines[rows[1 + (alike & (steps >= sizes[far[-1]])).argmax()]])
+            after = float(t[rows[1 + (alike & (steps >= sizes[far[-1]])).argmax()]] - t[0])
             facts = {"times": int(far[-1]) + 1, "size": float(sizes[0]), "usual": float(sizes[far[-1] + 1])}
             turn = {name: {"name": name, "unit": "turn", "scale": float(f"{1 / np.ptp(x[rows]):.4g}")}}
-            return [weak("log.jumps", state=name, line=first, **facts, states=turn)]
+            return [weak("log.jumps", state=name, after=after, **facts, states=turn)]
     return []
 
 

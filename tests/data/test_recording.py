@@ -126,7 +126,8 @@ def test_samples_at_a_stop_are_masked_but_not_a_start_at_rest(tmp_path):
     assert not bool((found.transitions.x[:, 0] == 0.9).any() or (found.transitions.x_next[:, 0] == 0.9).any())
     resting = np.concatenate([np.zeros((20, 4)), log(100)])
     resting[:, 0], resting[20:, 1] = 0.01 * np.arange(120), 1.5 - np.cos(3 * log(100)[:, 0])
-    assert LogReader(write(tmp_path / "rest.csv", resting), {"q": "angle"}, INPUTS).recording().findings[1:] == ()
+    found = LogReader(write(tmp_path / "rest.csv", resting), {"q": "angle"}, INPUTS).recording()
+    assert [each.code for each in found.findings[1:]] == ["log.jumps"]
 
 
 @pytest.mark.parametrize(
@@ -214,7 +215,8 @@ def test_five_equal_samples_at_an_end_are_a_stop_and_four_are_not(tmp_path, rest
     table[:, 1] = table[:, 0]
     table[40 : 40 + resting, 1] = -0.5  # the lower end
     found = LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS).recording()
-    assert found.findings[1:] == (note("log.stop", count=masked, state="q", value=-0.5),) * bool(masked)
+    stops = [each for each in found.findings if each.code == "log.stop"]
+    assert stops == [note("log.stop", count=masked, state="q", value=-0.5)] * bool(masked)
     assert len(found.transitions) == 99 - (masked + 1 if masked else 0)
 
 
