@@ -376,6 +376,7 @@ def _margin(form: str) -> Callable[..., str]:
 STABLE = (
     "stable at {targets} of {targets} targets of {outputs:and}; largest spectral radius {radius:.6g} at ({target:list})"
     ", threshold: < 1; the slowest motion there has a time constant of {slowest:time}"
+    "{neutral:?(beside a motion that neither grows nor dies out)}"
 )
 UNSTABLE = (
     "NOT stable at {unstable} of {targets} targets of {outputs:and}, at ({target:list}) for one, with no rest at "
@@ -387,18 +388,19 @@ UNSTABLE = (
 NOISE = "noise of the sensors moves {input} by {value:.3g} (standard deviation); threshold: {limit:g}"
 NO_NOISE = "not known, as the controller's file states none of sensors; a run with sensors=bench, or on a log, does"
 
-_GENTLE = "Where <plant.rates> names rates, try <task.reward.rate_weight=10>, by which quick movements cost more"
+_GENTLE = "Where <plant.rates> names rates, try <task.reward.rate_weight=100>, by which quick movements cost more"
+_NARROWER = "Leave these targets out, of which there are few: low= and high= show at once what that gains"
 _VARIED = "try <planning.gain_range=0.5>, by which training varies its inputs more"
 _CAREFUL = f"{_GENTLE}. On any plant, {_VARIED}"
 REMEDIES = {
-    "check.stability": "Narrow the targets, or excite the plant near these targets and train anew",
+    "check.stability": "Narrow the targets by low= and high=, or excite the plant near these targets and train anew",
     **dict.fromkeys((f"check.{kind}_margin" for kind in ("gain", "phase", "delay", "disk")), _CAREFUL),
     "check.gain_reduction": _CAREFUL,
     "check.noise": f"{_GENTLE}, or mend the sensor",
     "check.steady_error": "Give a longer time by seconds= if outputs still move at the end of steps.png, else narrow "
-    "the targets",
+    "the targets by low= and high=",
     "check.slew": _GENTLE,
-    "check.saturation": "Narrow the targets: these steps ask for more than the actuator has",
+    "check.saturation": "Narrow the targets by low= and high=: these steps ask for more than the actuator has",
     "check.coefficients": f"Where a plant is not stable, {_VARIED}; else give the controller integral action",
     "check.recovery": "Switch the controller on near the middle of the targets, or give <plant.start> the range from "
     "which it is to come back, and train anew",
@@ -414,7 +416,9 @@ def check_lines(findings: Sequence[Finding]) -> list[str]:
     """
     texts, said = [], set[str]()
     for each in findings:
-        remedy = "" if each.severity == "note" or REMEDIES[each.code] in said else REMEDIES[each.code]
+        few = 3 * each.values.get("weak", math.inf) <= findings[0].values["targets"]
+        remedy = "" if each.severity == "note" else _NARROWER if few else REMEDIES[each.code]
+        remedy = "" if remedy in said else remedy
         mark = "?" if each.values.get("known") is False else "ok" if each.severity == "note" else "WEAK"
         said.add(remedy)
         texts.append(f"{mark:<4}  {_title(each)}: {each}" + (SETTING.sub(_named, f". {remedy}") if remedy else ""))
@@ -604,7 +608,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "model.uncontrolled": "in the equations that were found no input moves {outputs:list}, so nothing can be planned; "
     "record longer, and let every input change often and by much",
     # the check of a controller
-    "check.stability": lambda **facts: _fill(UNSTABLE if facts["unstable"] else STABLE, facts),
+    "check.stability": lambda **facts: _fill(UNSTABLE if facts["unstable"] else STABLE, {"neutral": False, **facts}),
     "check.gain_margin": _margin("{}"),
     "check.gain_reduction": _margin("1/{}"),
     "check.phase_margin": _margin("{} deg"),

@@ -233,7 +233,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
     settings, targets = replace(settings, seconds=seconds), settings.targets
     rest, begin = find_rest(loop, targets, seconds=seconds), _begin(loop, settings)
     good, farthest = rest.stable, int((targets - begin[loop.task.outputs]).square().sum(-1).argmax())
-    rows = [rest.linear.row(k) if ok else None for k, ok in enumerate(good.tolist())]
+    rows = [rest.linear.row(k).decaying() if ok else None for k, ok in enumerate(good.tolist())]
     margins = [loop_margins(row) if row else [] for row in track("margins", rows, len(rows), "targets")]
     smooth = without_dry_friction(loop, rest, targets)
     others, how = _variants(loop.model, settings.draws, settings.seed)
@@ -252,7 +252,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         farthest,
         rest,
         margins,
-        [loop_margins(smooth.row(k)) if smooth and ok else [] for k, ok in enumerate(good.tolist())],
+        [loop_margins(smooth.row(k).decaying()) if smooth and ok else [] for k, ok in enumerate(good.tolist())],
         [noise_gain(row) if row else None for row in rows],
         noise.where(noise.isfinite(), 0.0).sqrt().numpy(),
         steps,

@@ -27,6 +27,7 @@ from torch import Tensor
 
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlLaw, ControlSetup, Memory
+from dynasindy.evaluation.metrics import steady_seconds
 from dynasindy.progress import track
 from dynasindy.sensing.observer import Belief
 from dynasindy.sindy import SindyModel
@@ -41,10 +42,6 @@ FINEST = 0.01
 """A Runge-Kutta step that is short enough for whatever moves, as those of the controller are [s]."""
 SETTLED = 600
 """Control periods after which the covariance of the observer is taken as steady."""
-LAST = 2.0
-"""Longest end of a flight in which its steady error is read [s]."""
-SHARE = 0.25
-"""Largest share of a flight that it takes: a fast plant flies for less than `LAST`, and its way is no steady error."""
 FULL = 0.99
 """Part of its way from the middle to a limit at which an input counts as saturated."""
 
@@ -88,7 +85,7 @@ class LoopSimulation:
     @property
     def last(self) -> int:
         """How many samples at the end count as steady."""
-        return max(1, min(round(LAST / self.dt), round(SHARE * self.u.shape[1])))
+        return max(1, round(steady_seconds(self.dt, self.u.shape[1]) / self.dt))
 
     @property
     def steady_error(self) -> Tensor:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.linalg import matrix_balance, solve_discrete_lyapunov
+from scipy.linalg import eig, matrix_balance, solve_discrete_lyapunov
 from scipy.optimize import brentq
 from torch import Tensor
 
@@ -28,6 +28,9 @@ STILL = 1e-8
 """What a loop at rest may move in a control period [ranges]."""
 Array = NDArray[np.float64]
 
+NEUTRAL = 1e-8
+"""How far from the unit circle an eigenvalue may lie and be taken for one on it, as rounding moves it: what it belongs
+to neither grows nor dies out."""
 BOUNDLESS = 1e3
 """Inputs beyond their limits that a model may rest by."""
 RESTS = "where the loop rests"
@@ -58,8 +61,17 @@ class Linear(NamedTuple):
 
     @property
     def radius(self) -> Array:
-        """Spectral radius of each loop, `(rows,)`; below 1 it is stable."""
+        """Spectral radius of each loop, `(rows,)`; below 1 + `NEUTRAL` it is stable."""
         return np.abs(np.linalg.eigvals(self.a)).max(-1)
+
+    def decaying(self) -> Linear:
+        """Return one loop without its neutral modes, as those of an integral that is held."""
+        values, left, right = eig(self.a, left=True)
+        kept = self.a.astype(complex)
+        for k in np.flatnonzero(np.abs(np.abs(values) - 1) <= NEUTRAL):
+            mode, row = right[:, k], left[:, k].conj()
+            kept -= values[k] * np.outer(mode, row) / (row @ mode)
+        return self._replace(a=kept.real)
 
     def finite(self) -> Linear:
         """Return the same with 0 for what is not finite: a plant that runs away has no slope."""
@@ -93,7 +105,7 @@ class RestingLoop(NamedTuple):
     @property
     def stable(self) -> Tensor:
         """Whether each loop comes to rest and is stable there, bool `(rows,)`."""
-        return self.still & torch.from_numpy(self.linear.radius < 1)
+        return self.still & torch.from_numpy(self.linear.radius < 1 + NEUTRAL)
 
     def select(self, rows: Tensor) -> RestingLoop:
         """Return some rows, by their places or bool `(rows,)`."""
@@ -173,7 +185,7 @@ def find_rest(loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, sec
     covariance = loop.steady_covariance(z) if start is None else start.covariance
     found, still = _newton(loop, z, covariance, r)
     linear, _, u = _linearise(loop, found, covariance, r)
-    stable = torch.from_numpy(linear.finite().radius < 1)
+    stable = torch.from_numpy(linear.finite().radius < 1 + NEUTRAL)
     lost = (~(still & stable)).nonzero().flatten()  # with dry friction there are rests that no flight reaches
     ran = torch.zeros(len(r), loop.task.n_r, dtype=torch.float64)
     if len(lost):

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.checking.check import TOLERANCE, Check
+from dynasindy.checking.linear_loop import NEUTRAL
 from dynasindy.findings import Finding, note, records, weak, wrong
 
 
@@ -163,9 +164,13 @@ def _stability(found: Check, limits: Thresholds) -> Finding:
         facts |= {"swing": _largest_error(found, found.swings.outputs, limits), "swing_limit": limits.swing}
         facts |= {"input": found.loop.signature.input_names[i], "input_swing": float(moved[i])}
         return (wrong if bool(unstable_targets(found, limits).any()) else weak)("check.stability", **facts)
-    k = int(np.argmax(found.rest.linear.radius))
-    radius = float(found.rest.linear.radius[k])
+    radii = found.rest.linear.radius
+    k = int(np.argmax(radii))
+    radius, neutral = float(radii[k]), bool(radii[k] >= 1 - NEUTRAL)
+    if neutral:
+        radius = max(float(found.rest.linear.row(j).decaying().radius) for j in range(count))
     facts |= {"target": _target(found, k), "radius": radius, "slowest": _time_constant(radius, dt), "dt": dt}
+    facts |= {"neutral": neutral}
     return note("check.stability", **facts)
 
 
@@ -194,6 +199,7 @@ def _margins(found: Check, limits: Thresholds) -> list[Finding]:
     for code, (values, limit) in kinds.items():
         k, i, large, _ = rows[row := int(np.argmin(values))]
         where = {"input": names[i], "target": _target(found, k), "large": large, "dt": dt}
+        where["weak"] = len({row[0] for row, value in zip(rows, values, strict=True) if value < limit})
         findings.append(_judged(code, values[row] >= limit, value=values[row], limit=limit, **where))
     return findings
 
@@ -227,7 +233,7 @@ def _coefficients(found: Check, limits: Thresholds) -> list[Finding]:
     others, held = found.spread, int(found.stable.sum())
     if not len(others.worst) or not held:
         return []
-    rests, radius = others.worst < 1, float(others.worst.max())
+    rests, radius = others.worst < 1 + NEUTRAL, float(others.worst.max())
     away = int(found.drawn.away(found.reach).sum())
     error = _largest_error(found, others.farthest[rests] if rests.any() else 0 * found.targets[:1], limits)
     facts = {"plants": len(rests), "held": held, "how": others.how, "unstable": int((~rests).sum())}

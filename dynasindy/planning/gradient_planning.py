@@ -256,7 +256,8 @@ class GradientPlanning(Planner):
                 held, before = True, self.test()
             else:
                 before = parts[-1].score
-            parts.append(self._descend(episodes, before, updates, 0.3 * lr, held))
+            # As long as those of the first phase: what it has not reached, the few updates of a later one do not.
+            parts.append(self._descend(episodes, before, pace.updates, 0.3 * pace.lr, held))
             if parts[-1].score - before <= GAIN * abs(before):
                 break
         if rests is None and self.searches:  # there is no rest that ways could have been searched to

@@ -47,8 +47,8 @@ def test_the_way_of_a_fast_plant_is_no_steady_error():
     assert flights.steady_error.item() == pytest.approx(0.01)
     assert flights.end.item() == pytest.approx(0.01)
     assert not flights.away(torch.tensor([0.5])).any()
-    slow = replace(flights, dt=0.05)  # 20 s: the last 2 s count
-    assert slow.last == 40
+    slow = replace(flights, dt=0.05)  # 20 s: the last 5 s count
+    assert slow.last == 100
 
 
 def test_a_law_that_is_too_weak_for_a_hill_loses_the_plant_beyond_a_line(loops, carts, law):
