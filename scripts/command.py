@@ -428,6 +428,10 @@ def compose(config_name: str | None, settings: list[str]) -> DictConfig:
         return hydra.compose(config_name, overrides=[*folder, *settings])
 
 
+LONGEST_NAME = 200
+"""Letters of settings that the folder of a job may be named after; disks take 255."""
+
+
 def implied(settings: list[str], options: Namespace) -> list[str]:
     """Return what settings imply: the folder that Hydra is to use, and the plant of a model.
 
@@ -446,6 +450,10 @@ def implied(settings: list[str], options: Namespace) -> list[str]:
         digest = hashlib.blake2b(" ".join(own).encode(), digest_size=3).hexdigest()
         readable = re.sub(r"[^A-Za-z0-9.]+", "-", "_".join(own)).strip("-.")
         found.append(f"hydra.sweep.dir='runs/{readable[:80]}_{digest}'")
+        # What all jobs share names the sweep; in the names of their folders, too, it may be more than a disk takes.
+        if sum(map(len, own)) > LONGEST_NAME:
+            shared = [each.key_or_group for each in PARSER.parse_overrides(own) if not each.is_sweep_override()]
+            found.append(f"hydra.job.config.override_dirname.exclude_keys=[{','.join(shared)}]")
     return found
 
 

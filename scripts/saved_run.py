@@ -103,7 +103,7 @@ def improvements(
         steps.append(command_line("check", [f"run={run}"], "tells at which targets the loop is weak, and how"))
     if episodes is not None and not any(word.startswith("resume=") for word in words):
         key, value, does = "train.episodes", max(3, 2 * episodes), "flies more episodes, whose data mend the model"
-        if imagined is not None and imagined > WITHIN:  # where the model is not what fails
+        if imagined is not None and imagined > ACCEPTABLE_ERROR:  # where the model is not what fails
             key, value = "planning.updates", 3000
             does = f"plans longer: in the model, too, targets are missed by {100 * imagined:.2g} %"
         kept = [word for word in words if not re.fullmatch("experiment=.*smoke", word)]  # which learns too little

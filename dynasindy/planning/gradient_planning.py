@@ -136,7 +136,8 @@ class GradientPlanning(Planner):
             `dynasindy.planning.randomization`; None for 0.3. Where ways from afar are imitated, as in the model.
         substeps: Runge-Kutta steps per imagined control period.
         check_every: Updates between two tests on held-out imagined references; the best policy is kept.
-        patience: Tests in a row without improvement after which a phase ends early.
+        patience: Tests in a row without improvement after which a phase ends early; where None, the more the more
+            updates are given.
         searches: Most searches for ways that earn more than the policy's, after the updates of a phase, where the task
             tracks no reference.
         input_delay: By how much inputs are late in one imagined episode of two, in control periods, up to 1. Where
@@ -216,7 +217,10 @@ class GradientPlanning(Planner):
         if (actor := _network(self.agent.policy)) is not self.network:
             self.network.load_state_dict(actor.state_dict())
         rests, was_afar = find_task_equilibria(self.env), self.pace.afar
-        self.pace = pace = replace(choose_plan_settings(self.env, rests, self.finest), **self.given)
+        suited = choose_plan_settings(self.env, rests, self.finest)
+        # Steps of a longer phase stay long for longer, and so do tests that are no better.
+        patience = suited.patience * max(1, self.given.get("updates", 0) // max(1, suited.updates))
+        self.pace = pace = replace(suited, **{"patience": patience, **self.given})
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, 0.3 * pace.lr)
         # Each moves an equal share, so that no policy can exploit the errors of one.

@@ -158,6 +158,15 @@ def test_a_plant_without_a_bench_is_told_how_to_give_one():
         build("sensors=bench", "~plant.sensors")
 
 
+@pytest.mark.parametrize("words", [("train", "system=xi"), ("train", "system=tras", "experiment=dyna"), ("identify",), ("rig",)])
+def test_a_whole_config_resolves(words):
+    cfg = composed(*words[1:], "folder=x", command=words[0])
+    OmegaConf.resolve(cfg)
+    assert OmegaConf.to_container(cfg) == OmegaConf.to_container(
+        composed(*words[1:], "folder=x", command=words[0]), resolve=True
+    )
+
+
 @pytest.mark.parametrize("command", ["train", "identify", "rig", "evaluate", "ablation"])
 def test_each_group_of_a_plant_without_what_may_be_left_out_resolves_by_itself(command, tmp_path):
     """Hydra resolves the group that it builds, and what that group copies of others, wherever defaults stand there."""

@@ -37,6 +37,13 @@ def test_a_sweep_has_the_folder_of_its_settings_wherever_its_options_stand(words
     assert words.read_words("train", mine) == mine
 
 
+def test_folders_of_jobs_leave_out_what_all_jobs_share_where_a_disk_would_not_take_their_names(words):
+    library = f"plant.library=[{','.join(f'x{k}' for k in range(60))}]"
+    given = words.read_words("train", ["-m", library, "seed=0,1"])
+    assert "hydra.job.config.override_dirname.exclude_keys=[plant.library]" in given
+    assert not any("exclude_keys" in word for word in words.read_words("train", ["-m", "system=xi", "seed=0,1"]))
+
+
 def test_a_run_that_is_resumed_keeps_its_folder(words, tmp_path):
     with pytest.raises(FileNotFoundError, match=r"config\.yaml"):
         words.read_words("train", [f"resume={tmp_path}"])
