@@ -37,6 +37,7 @@ from dynasindy.identification.recording_diagnostics import low_signal_findings
 from dynasindy.identification.source import PERIOD, Source, closest_period, rates_of
 from dynasindy.identification.targets import require_radians, targets_like
 from dynasindy.planning import GradientPlanning
+from dynasindy.planning.gradient_planning import ACCEPTABLE_ERROR
 from dynasindy.progress import say
 from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors

@@ -324,6 +324,8 @@ def _builder(node: Mapping[str, Any], key: str) -> Any:
     except Exception as error:  # importing runs whatever module is named
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         hint = "give the dotted path of a class or function, install its package, or name its folder by PYTHONPATH"
+        if str(node["_target_"]).startswith("dynasindy."):  # a run of an earlier version may name what is gone
+            hint = "it is no part of this version: correct it, or give what CHANGELOG.md says of it"
         raise ValueError(f"{key}._target_={_shown(node['_target_'])} cannot be imported ({reason}); {hint}") from error
 
 

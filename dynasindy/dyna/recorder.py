@@ -25,6 +25,7 @@ from dynasindy.control.files import NAME
 from dynasindy.dyna.callback import Callback, Episode, Place
 from dynasindy.dyna.excite import excitation_findings
 from dynasindy.dyna.experiment import Components
+from dynasindy.envs.rollout_data import transitions
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, beyond_targets, column_headings, summarise
 from dynasindy.evaluation.tracking_criteria import (
@@ -38,7 +39,9 @@ from dynasindy.findings import Finding, note, records, weak, wrong
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import replace_file, write_csv, write_json, write_text
 from dynasindy.sindy import FitReport, SindyModel
+from dynasindy.sindy.delay import delay_inputs
 from dynasindy.systems.equilibria import states_that_matter
+from dynasindy.systems.integrators import moved
 from dynasindy.tasks import Tracking
 
 HEADLINE = ("return", "steady_state_error/", "rmse/")
@@ -47,6 +50,8 @@ IDENTIFICATION = "identification.txt"
 """Name of the file of what the fit of the excitation says of itself."""
 FIRST = "The first fit, of the excitation alone; model.json has the equations of the last fit that was kept."
 """Its head."""
+UNEXPLAINED = 0.05
+"""Part of the changes of a state beyond which a model is said to miss much of them."""
 WRITTEN_EVERY = 10.0
 """Time between two writings of the tables [s]; they are written whole, which takes a while after many episodes."""
 
@@ -222,11 +227,25 @@ class Recorder(Callback):
             metrics["observer"] = observer.state_dict()
             write_json(self.folder / "observer.json", metrics["observer"])
         gate, verdict = distrusted(self.decisions), judge_run(metrics, self.evaluating.within)
-        findings = [*beyond_targets(final), *([] if gate is None else [gate]), *verdict.findings]
+        findings = [*beyond_targets(final), *self._unexplained(), *([] if gate is None else [gate]), *verdict.findings]
         metrics["verdict"] = {"usable": verdict.usable, "controlled": verdict.controlled}
         metrics["findings"] = [*self.excitation, *records(findings)]
         write_json(self.folder / "metrics.json", metrics)
         return metrics
+
+    def _unexplained(self) -> list[Finding]:
+        """Return of which states the model misses much of the changes that were seen; noise of sensors is none."""
+        parts, model = self.parts, self.parts.world_model
+        if parts.sensing is not None:
+            return []
+        seen = transitions(parts.replay.real_in_order(), parts.model_env.log_dt)
+        data = delay_inputs(seen, getattr(model, "delay", 0.0))
+        with torch.no_grad():
+            missed = moved(model, data.x, data.u, data.dt, self.plant.substeps, data.u_end) - data.x_next
+        shares = missed.norm(dim=0) / (data.x_next - data.x).norm(dim=0).clamp_min(1e-300)
+        names = zip(self.plant.system.signature.state_names, shares.tolist(), strict=True)
+        large = {name: share for name, share in names if not share <= UNEXPLAINED}
+        return [weak("model.unexplained", shares=large)] if large else []
 
     def state_dict(self) -> dict[str, Any]:
         """Return what was logged so far."""

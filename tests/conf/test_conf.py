@@ -158,7 +158,9 @@ def test_a_plant_without_a_bench_is_told_how_to_give_one():
         build("sensors=bench", "~plant.sensors")
 
 
-@pytest.mark.parametrize("words", [("train", "system=xi"), ("train", "system=tras", "experiment=dyna"), ("identify",), ("rig",)])
+@pytest.mark.parametrize(
+    "words", [("train", "system=xi"), ("train", "system=tras", "experiment=dyna"), ("identify",), ("rig",)]
+)
 def test_a_whole_config_resolves(words):
     cfg = composed(*words[1:], "folder=x", command=words[0])
     OmegaConf.resolve(cfg)

@@ -21,7 +21,7 @@ from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ModelError, NoPlanning
 from dynasindy.progress import listening
 from dynasindy.sindy import Oracle, SindyModel
-from dynasindy.systems import Tras
+from dynasindy.systems import Tras, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking
 
 
@@ -202,6 +202,18 @@ def test_a_sparse_model_leaves_a_controller_that_acts_as_the_policy_and_another_
     acted = parts.agent.deployed(rollout[2].select("observation"))["action"]
     found = saved.act(rollout["state"][2].tolist(), rollout["reference"][2].tolist())
     assert found == pytest.approx(acted.detach().numpy(), abs=1e-6)
+
+
+@pytest.mark.parametrize(("system", "told"), [(Tras(), False), (Xi(), True)])
+def test_a_model_that_misses_much_of_what_was_seen_is_told(recorded, tmp_path, system, told):
+    """The data are of the first plant; the second one is another."""
+    _, parts, recorder = recorded
+    model = Oracle(parts.plant.system.signature, system)
+    again = Recorder(tmp_path, replace(parts, world_model=model), recorder.evaluating, 3)
+    again.untrained = recorder.untrained
+    found = [each for each in again.finish({})["findings"] if each["code"] == "model.unexplained"]
+    assert [each["severity"] for each in found] == ["weak"] * told
+    assert all(share > 0.05 for each in found for share in each["values"]["shares"].values())
 
 
 def test_behind_sensors_the_state_of_the_observer_is_left_too(recorded, tmp_path):

@@ -206,6 +206,17 @@ def test_what_is_not_given_follows_the_plant_and_what_is_given_stays(setting, sm
     assert (planner.pace.window, planner.pace.patience, planner.env.substeps) == (20, 7, 3)
 
 
+def test_a_phase_of_more_updates_waits_longer_for_a_better_policy(setting):
+    waits = []
+    for updates in (280, 400, 840):
+        planner = GradientPlanning(*setting(), updates=updates, rollouts=2, window=2, substeps=1)
+        planner._update = lambda episodes, optimizer: False  # a phase that learns nothing ends at its first test
+        with pytest.raises(Diverged):
+            planner.plan()
+        waits.append(planner.pace.patience)
+    assert waits == [3, 3, 9]
+
+
 def test_a_policy_that_is_told_to_begins_as_a_regulator(setting, small):
     earned = {}
     for held in (False, True):
