@@ -49,7 +49,7 @@ from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.named_libraries import PLACE, LibraryBuilder, auto, auto_rig, is_speed, polynomial
 from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
-from dynasindy.sindy.refinement import Refinement
+from dynasindy.sindy.refinement import FARTHER, Refinement
 from dynasindy.sindy.regression import SAMPLES_EACH, fit_supported
 from dynasindy.sindy.shooting import CHOSEN_STRETCHES, choose_stretches
 from dynasindy.sindy.world_model import variance
@@ -84,8 +84,8 @@ BEHIND = 1.0
 """Weight of being behind the best simple model where that is worst, beside the mean."""
 BEHIND_BY = 1.03
 """Factor on the error of the best simple model beyond which a finding says that it predicts better."""
-PRICES = (1.0, 2.0)
-"""Factors on what a function must be worth."""
+PRICES, BEYOND_DOUBT = (1.0, 2.0), 10.0
+"""Factors on what a function must be worth; standard errors beyond which it is worth any of them."""
 HOPELESS = 1.0
 """Score behind the best one beyond which nothing dearer is tried of a candidate."""
 LEADERS = 3
@@ -341,7 +341,7 @@ class _Search:
 
     @property
     def best(self) -> Candidate:
-        return min(self.tried, key=lambda each: each.score)
+        return min(self.tried, key=lambda each: round(each.score, 3))  # of two alike, the first
 
     @property
     def until(self) -> float:
@@ -501,7 +501,7 @@ class _Search:
 
     def _single_steps(self, structures: Sequence[tuple[SindyModel, Source]]) -> None:
         """Try the fit of single steps, which finds exact equations in data without noise; first with measured rates."""
-        settings, fold = replace(self.refinement, method="one_step"), self.folds[0]
+        fold = self.folds[0]
         for model, source in structures:
             if bool(source.training.x_next.isnan().any()):
                 continue
@@ -510,7 +510,8 @@ class _Search:
             with _attempt():  # a regression of rates costs little: is it hopelessly behind the best simple model?
                 trial.fit(source.training.select(fold.fit_rows()))
                 if fold.score(fold.errors(trial, source)) < HOPELESS:
-                    found = self._fit("single steps", self._each(model), source, settings)
+                    settings = replace(self.refinement, method="one_step", longest_delay=FARTHER * trial.delay)
+                    found = self._fit("single steps", self._each(_warm_started(trial)), source, settings)
                     if found is not None and found.score < 0:  # without that rate it is the same at best
                         return
 
@@ -611,7 +612,7 @@ class _Search:
                 break
             same = found.equations == last.equations
             last, best = found, found if best is None else _better(best, found)
-            if same:  # what is not worth the lower price is not worth the higher one
+            if same or _is_clear(found.model):  # the higher price would change nothing
                 break
         return best
 
@@ -621,11 +622,12 @@ class _Search:
             model = _with_functions(model, lambda each: not _is_quotient(each))
         if len(model.library) > MANY:
             return
-        names = ", ".join(source.signature.state_names)
-        settings = self._settings(rounds=2, longest_delay=self.refinement.longest_delay)
-        pieces = replace(settings, error="prediction")
-        self._fit(f"functions of {names} in simulations of {pieces.window} samples", self._each(model), source, pieces)
-        self._fit(f"functions of {names} that regressions choose", self._each(model), source, settings)
+        names, settings = ", ".join(source.signature.state_names), self._settings(rounds=2)
+        pieces = replace(settings, error="prediction", longest_delay=self.refinement.longest_delay)
+        what, begun = f"functions of {names} in simulations of {pieces.window} samples", self._each(model)
+        if (found := self._fit(what, begun, source, pieces)) is not None:
+            begun = [_warm_started(each) for each in found.models]
+        self._fit(f"functions of {names} that regressions choose", begun, source, settings)
 
     def _with_larger_library(self) -> None:
         """Try signed squares, cubic functions, and roots of what is never negative, beside the best ones so far."""
@@ -738,6 +740,14 @@ def _warm_started(model: SindyModel) -> SindyModel:
     other = copy.deepcopy(model)
     other.initial, other.initial_delay = model.coefficients.clone(), model.delay
     return other
+
+
+def _is_clear(model: SindyModel) -> bool:
+    """Tell whether no function of a model could go at any price."""
+    if model.covariance is None:
+        return False
+    rows, states, _ = model.covariance
+    return bool((model.coefficients[rows, states].abs() > BEYOND_DOUBT * model.covariance.errors).all())
 
 
 def _is_linear(feature: Feature) -> bool:
