@@ -87,31 +87,39 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
         flown = run_steps(folder, "evaluate", plugins=plugins_of(cfg))
         say(next_steps(*flown, *(run_steps(folder, "check", "export") if written else ())))
     elif not swept:
-        say(improvements(folder, job.overrides.task, recipe.train.episodes, written, metrics["imagined_error"]))
+        lacking, words = "model.unexplained" in str(metrics["findings"]), job.overrides.task
+        say(improvements(folder, words, recipe.train.episodes, written, metrics["imagined_error"], lacking))
     good = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve
     return good and (controlled or not cfg.evaluation.get("must_control"))
 
 
 def improvements(
-    run: object, words: Sequence[str], episodes: int | None = None, checked: bool = True, imagined: float | None = None
+    run: object,
+    words: Sequence[str],
+    episodes: int | None = None,
+    checked: bool = True,
+    imagined: float | None = None,
+    lacking: bool = False,
 ) -> str:
     """Return what helps where the plant is not controlled: where the loop is weak, and more or better data.
 
-    A plan from a log has no real `episodes`; `imagined` is the error at the end of imagined ones [target ranges].
+    A plan from a log has no real `episodes`; `imagined` is the error at the end of imagined ones [target ranges]. Of a
+    model that is `lacking` something a check tells nothing, and more episodes mend none.
     """
-    steps = []
-    if checked:
+    steps, resumed = [], any(word.startswith("resume=") for word in words)
+    if checked and not lacking:
         steps.append(command_line("check", [f"run={run}"], "tells at which targets the loop is weak, and how"))
-    if episodes is not None and not any(word.startswith("resume=") for word in words):
+    if episodes is not None and not resumed and not lacking:
         key, value, does = "train.episodes", max(3, 2 * episodes), "flies more episodes, whose data mend the model"
         if imagined is not None and imagined > ACCEPTABLE_ERROR:  # where the model is not what fails
             key, value = "planning.updates", 3000
             does = f"plans longer: in the model, too, targets are missed by {100 * imagined:.2g} %"
         kept = [word for word in words if not re.fullmatch("experiment=.*smoke", word)]  # which learns too little
         steps.append(command_line("train", [*without(kept, key, "folder", "finish"), f"{key}={value}"], does))
-    if episodes is None and any(word.startswith("data.path=") for word in words):
+    if (lacking and not resumed) or (episodes is None and any(word.startswith("data.path=") for word in words)):
         others = without(words, *IDENTIFYING)
         lacks = "tells what the log lacks: what to record, or which functions"
+        lacks = lacks if episodes is None else "tells what the model lacks, with which functions in plant.library"
         steps.append(command_line("identify", [word for word in words if word not in others], lacks))
     return next_steps(*steps)
 
@@ -227,7 +235,11 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
     say(log_report(model, prediction), f"Controller: {folder / NAME}", *model.signature.own_inputs())
     if not swept:
         good = prediction.controlled
-        say(next_steps(*run_steps(folder, "check", "export")) if good else improvements(folder, words))
+        say(
+            next_steps(*run_steps(folder, "check", "export"))
+            if good
+            else improvements(folder, words, lacking=bool(prediction.doubts))
+        )
     return prediction.controlled or not cfg.evaluation.get("must_control")
 
 

@@ -79,6 +79,10 @@ def test_a_plan_from_a_log_that_does_not_hold_is_offered_what_the_log_lacks(impr
     assert "check.py run=a" in check
     assert read(identify) == ["python", "scripts/identify.py", *(w for w in words if not w.startswith("planning"))]
     assert "identify" not in improvements("a", ["model=model.json"])
+    (_, alone) = improvements("a", words, lacking=True).split("\n")  # a check would ask the model that lacks something
+    assert read(alone) == read(identify)
+    (_, alone) = improvements("a", ["system=xi", "seed=3"], 1, lacking=True).split("\n")
+    assert read(alone) == ["python", "scripts/identify.py", "system=xi"]
 
 
 def test_the_command_that_builds_parts_of_the_users_own_names_their_packages(steps):
