@@ -16,7 +16,6 @@ def main(cfg: Any) -> None:
     from dynasindy.checking import ClosedLoop, Settings, check, check_verdict
     from dynasindy.checking.verdict import check_record, unstable_targets
     from dynasindy.export.write import read
-    from dynasindy.findings import records
     from dynasindy.progress import say
     from dynasindy.safe_io import add_to_json, output_folder, reading, write_json
     from dynasindy.sentences import check_lines
@@ -40,14 +39,15 @@ def main(cfg: Any) -> None:
     settings = Settings(**ends, **start, **tried)
     folder = output_folder(run, "check", cfg.folder)
     found = check(ClosedLoop(controller, model), settings)
-    findings = check_verdict(found)
+    record = check_record(found)
     metrics = folder.parent / "metrics.json"
     if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
         ends = {"low": list(settings.low), "high": list(settings.high)}
-        add_to_json(metrics, "check", {"stable": bool(found.stable.all()), "findings": records(findings), **ends})
-    write_json(folder / "check.json", check_record(found, findings))
+        add_to_json(metrics, "check", {"stable": bool(found.stable.all()), "findings": record["findings"], **ends})
+    write_json(folder / "check.json", record)
     save_figures(draw_check(found), folder, cfg.formats)
-    say("What the model predicts; the plant itself was not asked.", *check_lines(findings), f"Files: {folder}")
+    say("What the model predicts; the plant itself was not asked.", *check_lines(check_verdict(found)))
+    say(f"Files: {folder}")
     if bool(unstable_targets(found).any()):
         sys.exit(1)
 

@@ -250,14 +250,11 @@ def one_line(cfg: DictConfig | None = None) -> Iterator[None]:
 
 
 def remove_empty(folder: str | Path | None) -> None:
-    """Remove a folder of a run that holds nothing, or of a sweep in which no job began, and runs/ if it was all in it.
-
-    Hydra writes the settings of a sweep before its first job.
-    """
+    """Remove an empty folder of a run, or that of a sweep in which no job began, and runs/ if it was all in it."""
     if not isinstance(folder, str | Path) or (folder := Path(folder)).resolve() == Path.cwd():
         return
     with suppress(OSError):  # another process may just have begun to use it
-        if [file.name for file in folder.iterdir()] == ["multirun.yaml"]:
+        if [file.name for file in folder.iterdir()] == ["multirun.yaml"]:  # which Hydra writes before the first job
             (folder / "multirun.yaml").unlink()
         folder.rmdir()
         if Path.cwd() in folder.resolve().parent.parents:
@@ -345,8 +342,7 @@ def read_words(config_name: str, words: list[str]) -> list[str]:
 
 def resolve_latest(word: str) -> str:
     """Return a word of a command line: `run=latest` is the newest run of runs/, `run=latest~1` the one before it."""
-    asked = re.fullmatch(r"(run|resume)=latest(?:~(\d+))?", word)
-    if asked is None:
+    if (asked := re.fullmatch(r"(run|resume)=latest(?:~(\d+))?", word)) is None:
         return word
     files = sorted(Path("runs").glob("**/config.yaml"), key=lambda file: file.stat().st_mtime, reverse=True)
     place = int(asked[2] or 0)
@@ -389,11 +385,9 @@ def require_keys(config_name: str, settings: list[str]) -> list[str]:
         if first is None:
             raise ValueError(f"the sweep has no job, as {word} is empty; give values, such as 'seed=range(0,5)'")
         group = key.startswith("hydra/") or any((folder / key).is_dir() for folder in folders)
-        if group and not glob:  # of several options the first stands for all, and null is one that there is not
-            text = not first.startswith("[") and word[0] != "~"
+        if key == "hydra.searchpath" or (group and not glob):  # of several options the first stands for all
+            text = group and not first.startswith("[") and word[0] != "~"  # null is an option that there is not
             chosen.append(f"{override.get_key_element()}='{first}'" if text else word)
-        elif key == "hydra.searchpath":
-            chosen.append(word)
         elif not group and not key.startswith("hydra."):
             keys[word] = key
     whole: Any = OmegaConf.to_container(compose(config_name, chosen))
@@ -428,10 +422,6 @@ def compose(config_name: str | None, settings: list[str]) -> DictConfig:
         return hydra.compose(config_name, overrides=[*folder, *settings])
 
 
-LONGEST_NAME = 200
-"""Letters of settings that the folder of a job may be named after; disks take 255."""
-
-
 def implied(settings: list[str], options: Namespace) -> list[str]:
     """Return what settings imply: the folder that Hydra is to use, and the plant of a model.
 
@@ -450,8 +440,7 @@ def implied(settings: list[str], options: Namespace) -> list[str]:
         digest = hashlib.blake2b(" ".join(own).encode(), digest_size=3).hexdigest()
         readable = re.sub(r"[^A-Za-z0-9.]+", "-", "_".join(own)).strip("-.")
         found.append(f"hydra.sweep.dir='runs/{readable[:80]}_{digest}'")
-        # What all jobs share names the sweep; in the names of their folders, too, it may be more than a disk takes.
-        if sum(map(len, own)) > LONGEST_NAME:
+        if sum(map(len, own)) > 200:  # disks take names of 255 letters: what all jobs share names the sweep alone
             shared = [each.key_or_group for each in PARSER.parse_overrides(own) if not each.is_sweep_override()]
             found.append(f"hydra.job.config.override_dirname.exclude_keys=[{','.join(shared)}]")
     return found

@@ -12,16 +12,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.checking.closed_loop import ClosedLoop, LoopSimulation
-from dynasindy.checking.linear_loop import (
-    Array,
-    Margins,
-    RestingLoop,
-    find_rest,
-    guess_rest,
-    loop_margins,
-    noise_gain,
-    without_dry_friction,
-)
+from dynasindy.checking.linear_loop import Array, Margins, RestingLoop, find_rest, guess_rest, loop_margins
 from dynasindy.progress import reporting_as, track
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import ranges
@@ -235,7 +226,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
     good, farthest = rest.stable, int((targets - begin[loop.task.outputs]).square().sum(-1).argmax())
     rows = [rest.linear.row(k).decaying() if ok else None for k, ok in enumerate(good.tolist())]
     margins = [loop_margins(row) if row else [] for row in track("margins", rows, len(rows), "targets")]
-    smooth = without_dry_friction(loop, rest, targets)
+    smooth = rest.without_dry_friction(loop, targets)
     others, how = _variants(loop.model, settings.draws, settings.seed)
     sensors = None if loop.observer is None else loop.observer.sensors
     noise = torch.zeros(loop.signature.n_x) if sensors is None else sensors.variance(loop.signature).double()
@@ -253,7 +244,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         rest,
         margins,
         [loop_margins(smooth.row(k).decaying()) if smooth and ok else [] for k, ok in enumerate(good.tolist())],
-        [noise_gain(row) if row else None for row in rows],
+        [row.noise_gain() if row else None for row in rows],
         noise.where(noise.isfinite(), 0.0).sqrt().numpy(),
         steps,
         drawn,

@@ -81,6 +81,21 @@ class Linear(NamedTuple):
         """Return one loop, its matrices without the dimension of rows, or several, by places or bool."""
         return Linear(self.dt, *(matrix[k] for matrix in self[1:]))
 
+    def noise_gain(self) -> Array:
+        """Return the standard deviation of each input per unit of white noise on each measurement, `(n_u, n_x)`.
+
+        It is that of one loop. G = A' G A + c' c is the energy of an input after unit noise on z, so that e' G e + f^2
+        is its variance under unit noise of a measurement. A state that is not measured has none, and a loop that is not
+        stable no steady spread.
+        """
+        # States in rpm beside states in rad: what is balanced solves without a loss of digits.
+        a, scale = matrix_balance(self.a, permute=False)
+        units = np.diag(scale)
+        e = self.e / units[:, None]
+        energies = [solve_discrete_lyapunov(a.T, np.outer(c, c)) for c in self.c * units]
+        after = np.stack([np.einsum("ij,ik,kj->j", e, energy, e) for energy in energies])
+        return np.sqrt((after + self.f**2).clip(0))
+
 
 class RestingLoop(NamedTuple):
     """Where loops rest, one per row.
@@ -111,6 +126,24 @@ class RestingLoop(NamedTuple):
         """Return some rows, by their places or bool `(rows,)`."""
         z, covariance, u, still, error = (each[rows] for each in self[:-1])
         return RestingLoop(z, covariance, u, still, error, self.linear.row(rows.numpy()))
+
+    def without_dry_friction(self, loop: ClosedLoop, r: Tensor) -> Linear | None:
+        """Return the loops linearised here as large movements meet them, to which dry friction has no slope.
+
+        Args:
+            loop: The loop, of one plant.
+            r: References, `(rows, n_r)`.
+
+        Returns:
+            The linear loops; None of a plant whose equations have no kink that is steep at rest only.
+        """
+        model = loop.model
+        functions = ([factor.function for factor in each.factors] for each in model.library.features)
+        rubs = torch.tensor(["tanh" in each for each in functions])
+        if not bool(model.coefficients[rubs].any()):
+            return None
+        smooth = model.coefficients.masked_fill(rubs.unsqueeze(-1), 0.0)
+        return _linearise(loop.varied(smooth.unsqueeze(0)), self.z, self.covariance, r.double())[0].finite()
 
 
 def guess_rest(loop: ClosedLoop, r: Tensor) -> Tensor:
@@ -150,25 +183,6 @@ def _linearise(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tu
     a, b, e = np.split(slopes[:, :n], [n, n + n_u], -1)
     c, _, f = np.split(slopes[:, n:], [n, n + n_u], -1)
     return Linear(loop.dt, a, b, c, e, f), centre[:, 0, :n] - z, centre[:, 0, n:]
-
-
-def without_dry_friction(loop: ClosedLoop, rest: RestingLoop, r: Tensor) -> Linear | None:
-    """Return loops linearised at rest as large movements meet them, to which dry friction is a force without a slope.
-
-    Args:
-        loop: The loop, of one plant.
-        rest: Where it rests.
-        r: References, `(rows, n_r)`.
-
-    Returns:
-        The linear loops; None of a plant whose equations have no kink that is steep at rest only.
-    """
-    model = loop.model
-    rubs = torch.tensor([any(factor.function == "tanh" for factor in each.factors) for each in model.library.features])
-    if not bool(model.coefficients[rubs].any()):
-        return None
-    smooth = model.coefficients.masked_fill(rubs.unsqueeze(-1), 0.0)
-    return _linearise(loop.varied(smooth.unsqueeze(0)), rest.z, rest.covariance, r.double())[0].finite()
 
 
 def find_rest(loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, seconds: float = 20.0) -> RestingLoop:
@@ -306,18 +320,3 @@ def _crossings(omega: Array, values: Array, function: Callable[[float], float]) 
     """Return where a function is zero between points of a grid."""
     places = np.nonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0)[0]
     return [float(brentq(function, omega[k], omega[k + 1], xtol=1e-10 * omega[-1])) for k in places]
-
-
-def noise_gain(linear: Linear) -> Array:
-    """Return the standard deviation of each input per unit of white noise on each state's measurement, `(n_u, n_x)`.
-
-    G = A' G A + c' c is the energy of an input after unit noise on z, so that e' G e + f^2 is its variance under unit
-    noise of a measurement. A state that is not measured has none, and a loop that is not stable no steady spread.
-    """
-    # States in rpm beside states in rad: what is balanced solves without a loss of digits.
-    a, scale = matrix_balance(linear.a, permute=False)
-    units = np.diag(scale)
-    e = linear.e / units[:, None]
-    energies = [solve_discrete_lyapunov(a.T, np.outer(c, c)) for c in linear.c * units]
-    after = np.stack([np.einsum("ij,ik,kj->j", e, energy, e) for energy in energies])
-    return np.sqrt((after + linear.f**2).clip(0))

@@ -45,7 +45,7 @@ class Thresholds:
     saturated: float = 0.2
 
 
-def check_record(found: Check, findings: Sequence[Finding] = ()) -> dict[str, Any]:
+def check_record(found: Check) -> dict[str, Any]:
     """Return all figures as plain numbers, findings first; null stands for what is infinite or does not exist."""
     signature, outputs = found.loop.signature, found.loop.task.output_names
     inputs, states = signature.input_names, signature.state_names
@@ -78,7 +78,7 @@ def check_record(found: Check, findings: Sequence[Finding] = ()) -> dict[str, An
             for plane in found.planes
         ],
     }
-    return {"findings": records(findings), **_finite(figures)}
+    return {"findings": records(check_verdict(found)), **_finite(figures)}
 
 
 def _named(names: Sequence[str], values: Any) -> dict[str, Any]:

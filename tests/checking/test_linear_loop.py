@@ -15,10 +15,8 @@ from dynasindy.checking.linear_loop import (
     Linear,
     find_rest,
     loop_margins,
-    noise_gain,
     open_loop_response,
     sensitivity,
-    without_dry_friction,
 )
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
@@ -222,7 +220,7 @@ def test_the_loop_is_that_which_is_open_at_one_input_alone():
 def test_a_long_flight_under_noise_spreads_as_much(loops):
     loop = loops(observer={"delay": 1})
     held = find_rest(loop, torch.zeros(1, 1))
-    gain = noise_gain(held.linear.row(0))
+    gain = held.linear.row(0).noise_gain()
     assert gain[0, 1] == 0  # the rate is not measured
     generator = torch.Generator().manual_seed(2)
     z, covariance = held.z.expand(400, -1), held.covariance.expand(400, -1, -1)
@@ -262,10 +260,10 @@ def test_a_loop_that_friction_alone_holds_has_no_margin(loops, law):
     loop = loops(law(2.0, 0.05), model=model)
     r = targets(0.0)
     rest = find_rest(loop, r)
-    smooth = without_dry_friction(loop, rest, r)
+    smooth = rest.without_dry_friction(loop, r)
     assert rest.stable.all() and smooth.radius > 1
     assert [(each.gain, each.delay, each.phase) for each in loop_margins(smooth.row(0))] == [(1.0, 0.0, 0.0)]
-    assert without_dry_friction(loops(), find_rest(loops(), r), r) is None
+    assert find_rest(loops(), r).without_dry_friction(loops(), r) is None
 
 
 def test_what_neither_grows_nor_dies_out_leaves_a_loop_stable():
