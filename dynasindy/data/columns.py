@@ -227,7 +227,6 @@ def infer(
     led = [name for name in followed if name not in found]
     leave("followed", led)
     leave("label", [name for name, column in left().items() if _is_label(column, rarely=False)])
-    leave("shifted", _shifted(left()))
     references = [moves[name] for name, reason in why.items() if reason in ("reference", "followed") and name in moves]
     for reason, names in _dependent(left(), references, [moves[name] for name in found if name in moves]).items():
         leave(reason, names)
@@ -284,18 +283,6 @@ def _is_held(column: Array, others_move: bool) -> bool:
     return others_move or bool(np.median(np.diff(moves)) > 1)
 
 
-def _shifted(columns: Mapping[str, Array]) -> list[str]:
-    """Return the columns that hold the samples of one before them a row earlier or later, as next states do."""
-    rows = np.stack([column[:1000] for column in columns.values()]) if columns else np.zeros((0, 0))
-    found = list[str]()
-    for k, name in enumerate(columns):
-        if k and len(rows[k]) > 20 and _standing(rows[k]) < 0.1:
-            sooner, later = rows[:k, 1:] == rows[k, :-1], rows[:k, :-1] == rows[k, 1:]
-            if max(sooner.mean(1).max(), later.mean(1).max()) > 0.9:  # another episode may begin now and then
-                found.append(name)
-    return found
-
-
 def _acts_at_once(column: Array, inputs: Sequence[Array]) -> bool:
     """Tell whether a column jumps in the very rows in which an input does, and by as much: a state moves after them."""
     for u in inputs if len(column) > 20 else ():
@@ -310,70 +297,72 @@ def _acts_at_once(column: Array, inputs: Sequence[Array]) -> bool:
 def _dependent(
     columns: Mapping[str, Array], references: Sequence[Array], inputs: Sequence[Array]
 ) -> dict[str, list[str]]:
-    """Return columns that follow from others in the same row, or of integrals of an error, and those that are noise.
+    """Return columns that hold one before them a row earlier or later, that follow from others, and that are noise.
 
-    They are sums of a few of those before them and of references, sums of products of any others, or roots of such.
-    Other sums with inputs are none: of an input that a controller makes of states any of these is one.
+    Those that follow are sums of a few of those before them and of references, sums of products of any others, roots of
+    such, and integrals of an error. Other sums with inputs are none: of an input that a controller makes of states any
+    of these is one.
     """
-    every, all_ = 1 + max(map(len, columns.values()), default=0) // 2000, [*columns.values(), *references, *inputs]
-    before, x = (np.array([column[k : len(column) - 1 + k : every] for column in all_]) for k in (0, 1))
-    count, width = len(columns), len(x)
-    if not count or x.shape[1] < 100:
+    names, every = [*columns], 1 + max(map(len, columns.values()), default=0) // 2000
+    whole = (*columns.values(), *references, *inputs)
+    before, x = (np.array([column[k : len(column) - 1 + k : every] for column in whole]) for k in (0, 1))
+    if not names or x.shape[1] < 50:
         return {}
-    own = width - len(inputs)
+    count, width, own = len(names), len(x), len(x) - len(inputs)
+    moves = (before != x).mean(1) > 0.9  # another episode may begin now and then
+    both = ((before, x), (x, before))
+    shifted = [k for k in range(count) if moves[k] and any(((a[:k] == b[k]).mean(1) > 0.9).any() for a, b in both)]
+
     pairs = np.array([*combinations_with_replacement(range(width * (width <= WIDEST)), 2)], int).reshape(-1, 2).T
     low, high = np.append(np.tile(np.arange(width), (2, 1)), pairs, 1)  # columns of each term
     plain, driven, referred = np.arange(len(high)) < width, high >= own, high >= count
     size, half = np.quantile(np.abs(x), 0.99, 1), 0.5 * np.array([*map(_last_digit, x)])
     halves = np.append(half, (size[pairs] * half[pairs[::-1]]).sum(0))  # of the last digit, as rounding makes it
-    found = set[int]()
+    found = {*shifted}
 
-    def products(rows: Array) -> Array:
-        return np.concatenate([rows, rows[pairs[0]] * rows[pairs[1]]])
+    def level(values: Array) -> Array:
+        return values - values.mean(-1, keepdims=True)
 
-    def free(k: int) -> NDArray[np.bool_]:
-        return ~(np.isin(low, [k, *found]) | np.isin(high, [k, *found]))
+    def products(values: Array) -> Array:
+        return np.concatenate([values, values[pairs[0]] * values[pairs[1]]])
 
-    terms, level = products(x), x - x.mean(1, keepdims=True)
-    table = terms - terms.mean(1, keepdims=True)
+    def few_terms(k: int, y: Array, terms: Array, free: NDArray[np.bool_], half: float, exact: float = EXACT) -> Array:
+        """Return factors of the fewest terms whose sum a column is, but for rounding; zeros where it is none."""
+        free = free & ~np.isin(low, [k, *found]) & ~np.isin(high, [k, *found])
+        norms, few = np.where(free, np.linalg.norm(terms, axis=1) + 1e-300, np.inf), list[int]()
+        rest, wide, factors = y, float(np.ptp(np.quantile(y, [0.01, 0.99]))), np.zeros(len(terms))
+        while wide and len(few) < min(FEW, int(free.sum())):
+            few.append(int((np.abs(terms @ rest) / norms).argmax()))
+            factors[few] = np.linalg.lstsq(terms[few].T, y, rcond=None)[0]
+            rest = y - factors[few] @ terms[few]
+            if rest.std() <= min(max(math.hypot(half, *factors[few] * halves[few]), exact * wide), 1e-3 * wide):
+                return factors
+        return 0 * factors
+
+    terms = products(x)
+    table = level(terms)
     for k in range(count):
-        if _few_terms(level[k], table, free(k) & plain & ~driven & ((high < k) | referred), halves, half[k]):
+        if few_terms(k, level(x[k]), table, plain & ~driven & ((high < k) | referred), half[k], 0.0).any():
             found.add(k)
     for k in reversed(range(count)):
-        few = _few_terms(level[k], table, free(k), halves, half[k], EXACT)
-        root = x[k].min() >= 0 and _few_terms(x[k] ** 2, terms, free(k), halves, 2 * size[k] * half[k], EXACT)
-        if root or sum((f * table[n] for n, f in few.items() if n >= width), np.zeros(1)).std() > 0.01 * x[k].std():
+        factors = few_terms(k, level(x[k]), table, high >= 0, half[k])[width:]
+        root = x[k].min() >= 0 and few_terms(k, x[k] ** 2, terms, high >= 0, 2 * size[k] * half[k]).any()
+        if root or (factors @ table[width:]).std() > 0.01 * x[k].std():
             found.add(k)
     for late in (0.0, 0.5, 1.0) if references else ():
-        table = products(x + late * (before - x))
-        table -= table.mean(1, keepdims=True)
+        table = level(products(x + late * (before - x)))
         for k in range(count):
-            steps = x[k] - before[k]
-            few = _few_terms(steps - steps.mean(), table, free(k) & ~driven, halves, 2 * half[k], EXACT)
-            if referred[[*few]].any():
+            if few_terms(k, level(x[k] - before[k]), table, ~driven, 2 * half[k])[referred].any():
                 found.add(k)
+
     then, now = np.clip([before, x], *np.quantile(x, [0.05, 0.95], axis=1)[..., None])  # without spikes
     table, missed = np.concatenate([np.ones_like(x[:1]), then, now[own:]]), np.zeros(count)
     if x.shape[1] > 20 * len(table):
         rest = now[:count] - np.linalg.lstsq(table.T, now[:count].T, rcond=None)[0].T @ table
         missed = rest.var(1) / (now[:count].var(1) + 1e-300)
-    names, noisy = [*columns], np.flatnonzero((missed > NOISE) & (missed.min() < 0.1))
-    return {"derived": [names[k] for k in sorted(found)], "noise": [names[k] for k in noisy]}
-
-
-def _few_terms(
-    y: Array, terms: Array, free: NDArray[np.bool_], halves: Array, half: float, exact: float = 0.0
-) -> dict[int, float]:
-    """Return factors of the fewest of some terms whose sum a column is, but for half a last digit; none of no such."""
-    norms, few = np.where(free, np.linalg.norm(terms, axis=1) + 1e-300, np.inf), list[int]()
-    rest, wide = y, float(np.ptp(np.quantile(y, [0.01, 0.99])))
-    while wide and len(few) < min(FEW, int(free.sum())):
-        few.append(int((np.abs(terms @ rest) / norms).argmax()))
-        factors = np.linalg.lstsq(terms[few].T, y, rcond=None)[0]
-        rest = y - factors @ terms[few]
-        if rest.std() <= min(max(math.hypot(half, *factors * halves[few]), exact * wide), 1e-3 * wide):
-            return dict(zip(few, factors.tolist(), strict=True))
-    return {}
+    noisy = np.flatnonzero((missed > NOISE) & (missed.min() < 0.1)).tolist()
+    out = {"shifted": shifted, "derived": sorted(found - {*shifted}), "noise": noisy}
+    return {reason: [names[k] for k in places] for reason, places in out.items()}
 
 
 def _last_digit(column: Array) -> float:

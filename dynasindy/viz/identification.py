@@ -53,10 +53,10 @@ def draw_identification(found: Identified, folder: Path, formats: Sequence[str] 
     restarts = describe_restarts(validation)
     title = f"Free-running prediction of data that the fit did not see{restarts}, against the {truth}"
     time, later = (np.arange(len(data)) * data.dt for data in (training, validation))
-    figures = {
-        "training_data": training_data(time, training.x, training.u, names, segment=training.segment),
-        "prediction": prediction(later, validation.x_next, found.predicted, names, title, validation.segment, truth),
-    }
+    figures = {"training_data": training_data(time, training.x, training.u, names, segment=training.segment)}
+    if len(validation):
+        shown = later, validation.x_next, found.predicted, names, title, validation.segment, truth
+        figures["prediction"] = prediction(*shown)
     return save_figures(figures, folder, formats)
 
 

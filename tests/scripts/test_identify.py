@@ -49,6 +49,16 @@ def test_the_pendulum_is_identified_and_everything_written(tmp_path):
     assert max(json.loads((tmp_path / "run/metrics.json").read_text())["open_loop_nrmse"].values()) < 1e-4
 
 
+def test_a_log_of_which_nothing_is_kept_back_is_identified_without_a_prediction(tmp_path):
+    rows = [f"{0.1 * k},{math.sin(0.1 * k)},{math.sin(0.1 * k) + math.cos(0.1 * k)}" for k in range(80)]
+    (tmp_path / "log.csv").write_text("\n".join(["time,x,u", *rows]))
+    log = (f"data.path={tmp_path}/log.csv", "data.inputs={u: {name: u, low: -2, high: 2}}")
+    done = _run(tmp_path / "run", "data=csv", *log, "data.validation_share=0", QUICK)
+    assert done.returncode == 0, done.stderr
+    names = {p.name for p in (tmp_path / "run").iterdir()}
+    assert {"model.json", "training_data.png"} <= names and "prediction.png" not in names
+
+
 IDENTIFIED = """
 import sys
 sys.argv = ["identify", "data=csv", "data.path=log.csv", "folder=run", "formats=[]"]
