@@ -421,7 +421,8 @@ def _jumps(name: str, x: Array, t: Array, u: Array, usable: NDArray[np.bool_]) -
     driven = (np.abs(np.diff(u[rows], axis=0)) > JUMP * np.ptp(u, axis=0)).any(1)
     for alike in (driven, ~driven) if len(steps) else ():
         alike = alike & (ahead < GAP * np.median(ahead))
-        sizes = np.sort(steps[alike])[::-1][: 2 + int(FAULTY * alike.sum())]
+        few = min(2 + int(FAULTY * alike.sum()), int(alike.sum()))
+        sizes = np.sort(np.partition(steps[alike], -few)[-few:])[::-1] if few else steps[:0]
         far = np.flatnonzero(sizes[:-1] > FAR * sizes[1:])
         if len(far) and sizes[far[-1] + 1] > 0:
             after = float(t[rows[1 + (alike & (steps >= sizes[far[-1]])).argmax()]] - t[0])
