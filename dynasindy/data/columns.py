@@ -341,13 +341,12 @@ def _dependent(
 
     terms = products(x)
     table = level(terms)
-    for k in range(count):
-        if few_terms(k, level(x[k]), table, plain & ~driven & ((high < k) | referred), half[k], 0.0).any():
-            found.add(k)
     for k in reversed(range(count)):
+        before_it = plain & ~driven & ((high < k) | referred)
+        total = few_terms(k, level(x[k]), table, before_it, half[k], 0.0).any()
         factors = few_terms(k, level(x[k]), table, high >= 0, half[k])[width:]
         root = x[k].min() >= 0 and few_terms(k, x[k] ** 2, terms, high >= 0, 2 * size[k] * half[k]).any()
-        if root or (factors @ table[width:]).std() > 0.01 * x[k].std():
+        if total or root or (factors @ table[width:]).std() > 0.01 * x[k].std():
             found.add(k)
     for late in (0.0, 0.5, 1.0) if references else ():
         table = level(products(x + late * (before - x)))
