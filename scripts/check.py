@@ -46,8 +46,7 @@ def main(cfg: Any) -> None:
         add_to_json(metrics, "check", {"stable": bool(found.stable.all()), "findings": record["findings"], **ends})
     write_json(folder / "check.json", record)
     save_figures(draw_check(found), folder, cfg.formats)
-    say("What the model predicts; the plant itself was not asked.", *check_lines(check_verdict(found)))
-    say(f"Files: {folder}")
+    say("What the model predicts; the plant was not asked.", *check_lines(check_verdict(found)), f"Files: {folder}")
     if bool(unstable_targets(found).any()):
         sys.exit(1)
 

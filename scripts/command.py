@@ -345,11 +345,10 @@ def resolve_latest(word: str) -> str:
     if (asked := re.fullmatch(r"(run|resume)=latest(?:~(\d+))?", word)) is None:
         return word
     files = sorted(Path("runs").glob("**/config.yaml"), key=lambda file: file.stat().st_mtime, reverse=True)
-    place = int(asked[2] or 0)
-    if place >= len(files):
+    if not (older := files[int(asked[2] or 0) :]):
         raise ValueError(f"{word} is none of the {len(files)} runs in runs/ of this folder; give {asked[1]}=FOLDER")
-    print(f"{asked[1]}={files[place].parent}", flush=True)
-    return f"{asked[1]}={_quoted(files[place].parent)}"
+    print(f"{asked[1]}={older[0].parent}", flush=True)
+    return f"{asked[1]}={_quoted(older[0].parent)}"
 
 
 def as_text(value: str) -> str:

@@ -46,9 +46,6 @@ from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.viz.controllers import controller_name, name_by_planning
 from dynasindy.workbench import damped, forecast, log_report, model_of, plan, refit_shortage
 
-IDENTIFYING = ("system", "data", "plant", "world_model", "refinement", "source", "longest_delay", "threads")
-"""Words of `train` that say how a log is identified; `identify` has them too."""
-
 
 def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
     """Run the experiment of a config, unless it has ended before, draw its figures and print what came of it.
@@ -117,10 +114,11 @@ def improvements(
         kept = [word for word in words if not re.fullmatch("experiment=.*smoke", word)]  # which learns too little
         steps.append(command_line("train", [*without(kept, key, "folder", "finish"), f"{key}={value}"], does))
     if (lacking and not resumed) or (episodes is None and any(word.startswith("data.path=") for word in words)):
-        others = without(words, *IDENTIFYING)
-        lacks = "tells what the log lacks: what to record, or which functions"
-        lacks = lacks if episodes is None else "tells what the model lacks, with which functions in plant.library"
-        steps.append(command_line("identify", [word for word in words if word not in others], lacks))
+        identifying = ["system", "data", "plant", "world_model", "refinement", "source", "longest_delay", "threads"]
+        own = without(words, *identifying)
+        lacks = "the log lacks: what to record, or which functions"
+        lacks = lacks if episodes is None else "the model lacks, with which functions in plant.library"
+        steps.append(command_line("identify", [word for word in words if word not in own], f"tells what {lacks}"))
     return next_steps(*steps)
 
 
@@ -234,12 +232,8 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
         draw_evaluation(flown, figures, controller_name("gradient"), tuple(cfg.formats), prediction.place)
     say(log_report(model, prediction), f"Controller: {folder / NAME}", *model.signature.own_inputs())
     if not swept:
-        good = prediction.controlled
-        say(
-            next_steps(*run_steps(folder, "check", "export"))
-            if good
-            else improvements(folder, words, lacking=bool(prediction.doubts))
-        )
+        steps, doubted = run_steps(folder, "check", "export"), bool(prediction.doubts)
+        say(next_steps(*steps) if prediction.controlled else improvements(folder, words, lacking=doubted))
     return prediction.controlled or not cfg.evaluation.get("must_control")
 
 
