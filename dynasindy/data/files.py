@@ -265,7 +265,8 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     headings = head[place]  # a line such as `Smp, Smp, Smp` is none of headings
     if len(headings) == common - 1 and (split or lines[filled[-1]][0] == '"'):
         named = all(row[-1] and (row[0].isdigit() or not NUMBER.fullmatch(row[0])) for row in lower)
-        headings = ["", *headings] if named else headings  # rows have names, as numbers or dates
+        own = "date" if DATE.fullmatch(lower[-1][0]) else ""  # of a heading over a day and a time of day
+        headings = [own, *headings] if named else headings  # rows have names, as numbers
     labels = [bool(row and UNIT_LABEL.search(row[0])) for row in head]
     head = [["", *row[1:], *[""] * (len(headings) - len(row))] if label else row for label, row in zip(labels, head)]
     labelled = (row for label, row in zip(labels, head) if label)

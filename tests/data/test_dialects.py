@@ -522,6 +522,17 @@ def test_names_before_each_value_are_headings(tmp_path, form):
     require_truth(recording(tmp_path / "l.txt", "\n".join(rows)))
 
 
+def test_a_day_and_a_time_of_day_have_one_heading(tmp_path):
+    head, *rows = table(["time", "angle", "rate", "u"], T, ANGLE, RATE, COMMAND, separator=" ").splitlines()
+    apart = [2 * (k > 150) for k in range(ROWS)]  # days
+    stamps = [
+        (START + pd.Timedelta(days=d, milliseconds=10 * k)).isoformat(" ", "milliseconds") for k, d in enumerate(apart)
+    ]
+    lines = [f"{stamp} {row.partition(' ')[2]}" for stamp, row in zip(stamps, rows, strict=True)]
+    found = recording(tmp_path / "l.txt", "\n".join([head, *lines]))
+    assert len(found.transitions) == ROWS - 2 and found.transitions.segment.unique().tolist() == [0, 1]
+
+
 def test_rows_may_have_names_without_a_heading(tmp_path):
     frame = pd.DataFrame({"time": T, "angle": ANGLE.round(6), "rate": RATE.round(6), "u": COMMAND})
     for separator in (" ", ","):  # as of write.table
