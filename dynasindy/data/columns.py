@@ -306,7 +306,7 @@ def _dependent(
     names, every = [*columns], 1 + max(map(len, columns.values()), default=0) // 2000
     whole = (*columns.values(), *references, *inputs)
     before, x = (np.array([column[k : len(column) - 1 + k : every] for column in whole]) for k in (0, 1))
-    if not names or x.shape[1] < 50:
+    if not names or x.shape[1] < 100:
         return {}
     count, width, own = len(names), len(x), len(x) - len(inputs)
     moves = (before != x).mean(1) > 0.9  # another episode may begin now and then
