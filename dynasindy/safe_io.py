@@ -278,10 +278,10 @@ def add_to_json(path: Path, key: str, value: Any) -> None:
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[float | None]]) -> None:
-    """Write a table of numbers whole; empty cells stand for None."""
+    """Write a table of numbers whole; empty cells stand for None, and for what is no number."""
     text = StringIO(newline="")
     csv.writer(text).writerow(header)
-    csv.writer(text).writerows(["" if value is None else f"{value:.9g}" for value in row] for row in rows)
+    csv.writer(text).writerows(["" if v is None or v != v else f"{v:.9g}" for v in row] for row in rows)
     write_text(path, text.getvalue())
 
 

@@ -100,12 +100,9 @@ def _wrap_line(whole: str, columns: int) -> list[str]:
     equation = re.match(r"\s*\S+(?:'|\[k\+1\]) = ", whole)
     if equation is None:
         return _between_words(whole, columns, f"{start}    " if "  " in whole.strip() else start)
-    return _equation(whole, columns, " " * min(len(equation[0]), columns // 3))
-
-
-def _equation(whole: str, columns: int, indent: str) -> list[str]:
-    """Return an equation in lines that end between terms; terms that are too long are broken between factors."""
-    lines = _between_words(re.sub(r" (?![+-] )", "\xa0", whole), columns, indent)  # blanks that are no breaks
+    # It ends between terms, and within those that are too long between factors: other blanks are no breaks at first.
+    indent = " " * min(len(equation[0]), columns // 3)
+    lines = _between_words(re.sub(r" (?![+-] )", "\xa0", whole), columns, indent)
     return [part for line in lines for part in _between_words(line.replace("\xa0", " "), columns, indent)]
 
 

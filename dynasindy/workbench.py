@@ -215,7 +215,11 @@ def forecast(
     Raises:
         ValueError: The log is of another plant, or the task is one without a range of targets and no scenario is given.
     """
-    scenario, setup = scenario or _steps(controller.setup.task), controller.setup
+    setup = controller.setup
+    if scenario is None:  # steps over the whole range of the task, as long as its episodes
+        if setup.task.ends is None:
+            raise ValueError("the task has no range of targets, low and high, to fly steps in; give a scenario")
+        scenario = Scenario("step", step_references(*setup.task.ends, FLOWN), FLOWN, None)
     env, policy, sensing = closed_loop(controller, model, setup.task, seed)
     rests = find_task_equilibria(env)
     never = "" if rests is None else unheld(env, rests)
@@ -269,13 +273,6 @@ def _doubts(model: SindyModel, log: Source, seconds: float) -> list[Finding]:
     short = shortcoming(forecasts, model.signature, min(seconds, forecasts.characteristic))
     lacking = [short] if short and not runs_away(forecasts, model.signature) else []
     return [*lacking, *(each for each in linear_better(forecasts, model.signature) if each.severity == "wrong")]
-
-
-def _steps(task: Tracking) -> Scenario:
-    """Return steps to targets over the whole range of a task, as long as its episodes."""
-    if task.ends is None:
-        raise ValueError("the task has no range of targets, low and high, to fly steps in; give forecast a scenario")
-    return Scenario("step", step_references(*task.ends, FLOWN), FLOWN, None)
 
 
 def tracking_task(model: SindyModel, targets: Mapping[str, tuple[float, float]]) -> Tracking:

@@ -158,13 +158,6 @@ class ClosedLoop:
         policy = copy.deepcopy(controller.policy)
         policy = policy.double() if isinstance(policy, torch.nn.Module) else policy
         self.law = ControlLaw(policy, controller.setup, self.observer, controller.integral, torch.float64)
-        scales = self._scales()
-        ends = list(accumulate(map(len, scales.values()), initial=0))
-        self.parts = {name: slice(*ends[k : k + 2]) for k, name in enumerate(scales)}
-        self.size, self.scale = ends[-1], torch.cat([*scales.values()])
-
-    def _scales(self) -> dict[str, Tensor]:
-        """Return the parts of z, each as the ranges of its numbers."""
         ranges, n_u = torch.tensor(self.signature.x_scale, dtype=torch.float64), self.signature.n_u
         late = 0 if self.observer is None else self.observer.sensors.delay
         scales = {"x": ranges, "late": ranges.repeat(late), "pending": torch.ones(self.pending * n_u).double()}
@@ -173,7 +166,11 @@ class ClosedLoop:
                 scales[name] = torch.ones(math.prod(shape), dtype=torch.float64)
         scales["shift"][: len(ranges)] = ranges[: len(scales["shift"])]
         scales["integral"] *= self.task.error_scale
-        return scales if self.observer is None else scales | {"mean": self.observer.scale.double()}
+        if self.observer is not None:
+            scales["mean"] = self.observer.scale.double()
+        ends = list(accumulate(map(len, scales.values()), initial=0))
+        self.parts = {name: slice(*ends[k : k + 2]) for k, name in enumerate(scales)}
+        self.size, self.scale = ends[-1], torch.cat([*scales.values()])
 
     @property
     def signature(self) -> Signature:

@@ -282,8 +282,10 @@ class Controller:
             )
             raise ValueError(f"{told}; the controller is as before: give values of the plant, or reset it") from error
         self._begun = True
-        if not self._warned:
-            self._warn_far(r)
+        if not self._warned and (far := (r < self._near[0]) | (r > self._near[1])).any():
+            self._warned, k = True, int(far.argmax())
+            told = f"the reference of {self.outputs[k]} is {r[k]:g}, far beyond the plan ({self.targets_in_words()[k]})"
+            warnings.warn(f"{told}: give one in this range, or plan for a wider one", stacklevel=2)
         return found
 
     def _prepare(self) -> None:
@@ -298,14 +300,6 @@ class Controller:
         low, high = np.array(self.setup.task.ends or ([-math.inf], [math.inf]))
         self._near = low - self.setup.task.boxes().numpy(), high + self.setup.task.boxes().numpy()
         self._prepared = True
-
-    def _warn_far(self, r: Array) -> None:
-        """Warn once of a reference that lies more than a target range beyond the targets of the plan."""
-        far = (r < self._near[0]) | (r > self._near[1])
-        if far.any():
-            self._warned, k = True, int(far.argmax())
-            told = f"the reference of {self.outputs[k]} is {r[k]:g}, far beyond the plan ({self.targets_in_words()[k]})"
-            warnings.warn(f"{told}: give one in this range, or plan for a wider one", stacklevel=3)
 
     def _numbers(self, what: str, given: Values, names: Sequence[str]) -> Array:
         """Return numbers in the order of names."""

@@ -61,7 +61,12 @@ def save(controller: Controller, path: str | Path) -> None:
         "task": {
             "dt": controller.dt,
             "substeps": moved.substeps,
-            "stops": moved.stops and asdict(moved.stops) | {key: _ends(moved.stops, key) for key in ("low", "high")},
+            # JSON has no infinite numbers, and an end that is not there is null.
+            "stops": moved.stops
+            and {
+                key: [end if math.isfinite(end) else None for end in values]
+                for key, values in asdict(moved.stops).items()
+            },
             "outputs": list(task.output_names),
             "rates": task.rate_names,
             "observe_rate": task.observe_rate,
@@ -205,11 +210,6 @@ def _number(value: object, low: float = -math.inf) -> float:
 
 def _positive(value: object) -> float:
     return _number(value, 0.0)
-
-
-def _ends(stops: Stops, key: str) -> list[float | None]:
-    """Return the ends of stops on one side; JSON has no infinite numbers, and an end that is not there is null."""
-    return [float(end) if math.isfinite(end) else None for end in getattr(stops, key)]
 
 
 def _stops(record: Mapping[str, Any] | None, n_x: int) -> Stops | None:

@@ -106,16 +106,13 @@ def _places(model: SindyModel, task: Tracking, log: Source | None) -> tuple[Tens
 
 def _fastest_motion(model: SindyModel, x: Tensor, u: Tensor, outputs: list[int]) -> tuple[float, str]:
     """Return which motion, at the first place or enough others, asks for the shorter period, and its time [s]."""
-    modes = [LocalModes(model, *place, outputs) for place in zip(x, u, strict=True)]
-    found = {"oscillation": [at.oscillation for at in modes], "doubling": [at.doubling for at in modes]}
-    times = {kind: min([first, *_shared(others)]) for kind, (first, *others) in found.items()}
+    modes, times = [LocalModes(model, *place, outputs) for place in zip(x, u, strict=True)], dict[str, float]()
+    for kind in PERIODS:
+        first, *others = (getattr(at, kind) for at in modes)
+        enough = sorted(others)[max(0, math.ceil(SHARED * len(others)) - 1) :][:1]  # none of no other places
+        times[kind] = min([first, *enough])
     kind = min(times, key=lambda kind: times[kind] / PERIODS[kind])
     return times[kind], kind
-
-
-def _shared(times: list[float]) -> list[float]:
-    """Return the time that is as short in enough places; nothing of no places."""
-    return sorted(times)[max(0, math.ceil(SHARED * len(times)) - 1) :][:1]
 
 
 def _settles(env: ControlEnv, x: Tensor, u: Tensor, share: float = SETTLED) -> float:

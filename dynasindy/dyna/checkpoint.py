@@ -16,7 +16,6 @@ from typing import Any
 import torch
 
 from dynasindy.dyna.folder import load_tensors
-from dynasindy.limits import raise_if_memory
 from dynasindy.safe_io import remove_leftovers, replace_file
 
 MARK = b"dynasindy checkpoint 1"
@@ -47,11 +46,10 @@ class Checkpoints:
         """
         buffer = io.BytesIO()
         torch.save(dict(state), buffer)
-        payload = buffer.getbuffer()
         path = self.folder / f"{number:06d}.pt"
         with replace_file(path) as file:
-            file.write(b"%s %d %s\n" % (MARK, len(payload), _digest(payload)))
-            file.write(payload)
+            file.write(_head(buffer.getbuffer()))
+            file.write(buffer.getbuffer())
         for old in self._files()[:-KEPT]:
             old.unlink(missing_ok=True)
         return path
@@ -76,21 +74,11 @@ class Checkpoints:
 
 
 def _read(path: Path) -> State | None:
-    """Return the state in a file, or None if it is damaged."""
-    try:
-        with path.open("rb") as file:
-            *mark, length, digest = file.readline(200).split()
-            payload = file.read()
-        if b" ".join(mark) != MARK or len(payload) != int(length) or _digest(payload) != digest:
-            return None
-        state = load_tensors(payload)
-    except OSError:  # the disk, which may be well again later: nothing is begun anew for that
-        raise
-    except Exception as error:  # any: what a file of others makes the reader do ends here
-        raise_if_memory(error)  # for which nothing is begun anew either
-        return None
-    return state if isinstance(state, dict) else None
+    """Return the state in a file, or None if it is damaged; for an error of the disk nothing is begun anew."""
+    with path.open("rb") as file:
+        head, payload = file.readline(200), file.read()
+    return load_tensors(payload) if head == _head(payload) else None
 
 
-def _digest(payload: bytes | memoryview) -> bytes:
-    return hashlib.blake2b(payload, digest_size=20).hexdigest().encode()
+def _head(payload: bytes | memoryview) -> bytes:
+    return b"%s %d %s\n" % (MARK, len(payload), hashlib.blake2b(payload, digest_size=20).hexdigest().encode())

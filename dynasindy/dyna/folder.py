@@ -69,22 +69,23 @@ def _read(file: Path) -> dict[str, Tensor] | None:
     """Return the tensors of a file; None of another file."""
     try:
         saved = load_tensors(file.read_bytes())
-    except Exception as error:  # any: what a file of others makes the reader do ends here
+    except OSError as error:
         raise_if_memory(error)
         return None
-    if not isinstance(saved, dict) or not all(isinstance(name, str) for name in saved):
-        return None
-    plain = (isinstance(w, Tensor) and w.layout == torch.strided and w.device.type == "cpu" for w in saved.values())
+    plain = (
+        isinstance(name, str) and isinstance(w, Tensor) and w.layout == torch.strided and w.device.type == "cpu"
+        for name, w in (saved or {}).items()
+    )
     return saved if all(plain) else None
 
 
-def load_tensors(payload: bytes) -> Any:
-    """Return what torch has saved, with plain data alone and nothing that swells.
-
-    Raises:
-        ValueError: It was not torch that packed it.
-    """
-    with zipfile.ZipFile(io.BytesIO(payload)) as archive:
-        if any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist()):
-            raise ValueError("torch stores tensors as they are, and these are compressed")
-    return torch.load(io.BytesIO(payload), weights_only=True, map_location="cpu")
+def load_tensors(payload: bytes) -> dict[Any, Any] | None:
+    """Return the mapping that torch has saved, with plain data alone and nothing that swells; None of anything else."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(payload)) as archive:
+            swells = any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist())
+        saved = None if swells else torch.load(io.BytesIO(payload), weights_only=True, map_location="cpu")
+    except Exception as error:  # any: what a file of others makes the reader do ends here
+        raise_if_memory(error)  # for which nothing is begun anew
+        return None
+    return saved if isinstance(saved, dict) else None

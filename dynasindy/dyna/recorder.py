@@ -329,7 +329,10 @@ class Recorder(Callback):
         columns = [*signature.state_names, *signature.input_names]
         columns += [f"reference_{name}" for name in self.plant.task.output_names]
         values = torch.cat([rollout["state"], rollout["action"], rollout["reference"]], -1)
-        values = _with_gaps(values, rollout["step_count"][:, 0])
+        # An empty row, a gap, stands before each in which an episode begins anew.
+        begun = torch.nn.functional.pad((rollout["step_count"][1:, 0] == 0).long(), (1, 0)).cumsum(0)
+        gaps = values.new_full((len(values) + int(begun[-1]), values.shape[1]), math.nan)
+        values = gaps.index_copy(0, torch.arange(len(values)) + begun, values)
         if last:
             empty = torch.full_like(rollout["action"][-1:], math.nan)
             end = [rollout["next", "state"][-1:], empty, rollout["reference"][-1:]]
@@ -339,20 +342,8 @@ class Recorder(Callback):
     def _write_series(self, name: str, columns: Sequence[str], values: Tensor, first: int = 0) -> None:
         # Double precision, so that the fifth period of 0.05 s is at 0.25 s and not at 0.25000000372.
         time_column = (first + torch.arange(len(values), dtype=torch.float64)).unsqueeze(-1) * self.plant.dt
-        rows = [
-            [None if math.isnan(value) else value for value in row]
-            for row in torch.cat([time_column, values], -1).tolist()
-        ]
         headings = column_headings(["time", *columns], self.plant.system.signature)
-        write_csv(self.folder / "data" / f"{name}.csv", headings, rows)
-
-
-def _with_gaps(values: Tensor, counts: Tensor) -> Tensor:
-    """Return rows `(T, n)` with an empty one, a gap, before each whose count of periods since the start is zero."""
-    begun = torch.nn.functional.pad((counts[1:] == 0).long(), (1, 0)).cumsum(0)
-    found = torch.full((len(values) + int(begun[-1]), values.shape[1]), math.nan, dtype=values.dtype)
-    found[torch.arange(len(values)) + begun] = values
-    return found
+        write_csv(self.folder / "data" / f"{name}.csv", headings, torch.cat([time_column, values], -1).tolist())
 
 
 HARDLY = 0.01

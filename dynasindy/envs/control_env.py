@@ -278,10 +278,12 @@ class ControlEnv(EnvBase):
     ) -> dict[str, Tensor]:
         """Return what is shown of states, and what a period earned: states at its start, inputs and touched stops."""
         shown = {"state": x, "task_params": params, "step_count": steps}
-        code = self._task_code(x, params, steps, *(period or ()))
-        if code is not None:
-            before, _, touched = period or (None, None, None)
-            return shown | code.judge(before, x, params, steps, touched)
+        if x.is_cpu and plain(x, params, steps, *(period or ())):  # else derivatives are asked of it
+            if self._compiled_task is None or self._compiled_task[:2] != (self.task, x.dtype):
+                self._compiled_task = self.task, x.dtype, tracking_machine(self.task, self.dt, x.dtype)
+            if (code := self._compiled_task[2]) is not None:
+                before, _, touched = period or (None, None, None)
+                return shown | code.judge(before, x, params, steps, touched)
         t = steps.to(x.dtype) * self.dt
         shown["observation"] = self.task.observation(x, params, t).float()
         shown["reference"] = self.task.reference(params, t)
@@ -289,14 +291,6 @@ class ControlEnv(EnvBase):
             before, u, touched = period
             shown["reward"] = self.task.earned(before, u, x, params, t, touched).float().unsqueeze(-1)
         return shown
-
-    def _task_code(self, x: Tensor, *others: Tensor) -> TrackingMachine | None:
-        """Return machine code of the task for such states; None where there is none, or derivatives are asked of it."""
-        if not x.is_cpu or not plain(x, *others):
-            return None
-        if self._compiled_task is None or self._compiled_task[:2] != (self.task, x.dtype):
-            self._compiled_task = self.task, x.dtype, tracking_machine(self.task, self.dt, x.dtype)
-        return self._compiled_task[2]
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
         batch = self.batch_size if tensordict is None else tensordict.batch_size

@@ -101,7 +101,9 @@ class Foreign(System):
         clips = torch.tensor([stops is None or name in stops for name in ranges])
         far = torch.tensor([[-math.inf], [math.inf]], dtype=torch.float64)
         self.ends = torch.where(clips, both, far)
-        self.period = _period(copy)
+        # How long a step is [s]: `dt`, as MuJoCo's and the pendulum have it, or `tau`, as the cart-pole.
+        steps = (getattr(copy.unwrapped, name, None) for name in ("dt", "tau"))
+        self.period = next((float(s) for s in steps if isinstance(s, int | float) and 0 < s < math.inf), None)
         assert copy.spec is not None
         # What it was made with says how long episodes are here, not as which they are registered.
         self.registered_steps = gymnasium.registry[copy.spec.id].max_episode_steps
@@ -188,7 +190,9 @@ class GymnasiumEnv(ControlEnv):
         super().__init__(system, task, period, 1, dtype=dtype, seed=seed)
         self.foreign = system
         if task.starts is None:
-            self.task = task.with_starts(self._begin(STARTS, np.random.default_rng(seed)))
+            copy, rng = system.make(1), np.random.default_rng(seed)
+            begun = np.stack([copy.reset(seed=int(rng.integers(2**31)))[0] for _ in range(STARTS)])
+            self.task = task.with_starts(system.observed.state(torch.as_tensor(begun, dtype=torch.float64)))
 
     def with_system(self, system: System, dtype: torch.dtype | None = None, seed: int = 0) -> ControlEnv:
         """Return an environment around a model of this one, with the same task and period."""
@@ -262,12 +266,6 @@ class GymnasiumEnv(ControlEnv):
             )
         return seen, float(reward), bool(terminated), bool(truncated)
 
-    def _begin(self, number: int, rng: np.random.Generator) -> Tensor:
-        """Return states in which episodes begin, `(number, n_x)`."""
-        copy = self.foreign.make(1)
-        begun = [copy.reset(seed=int(rng.integers(2**31)))[0] for _ in range(number)]
-        return self.foreign.observed.state(torch.as_tensor(np.stack(begun), dtype=torch.float64))
-
     def _require_rates(self) -> None:
         """Ask for none, as the equations are not known."""
 
@@ -280,16 +278,6 @@ class GymnasiumEnv(ControlEnv):
         shape = (*self.batch_size, 1)
         self.observation_spec["own_reward"] = Unbounded(shape=shape, dtype=torch.float32)
         self.observation_spec["moved"] = Binary(n=1, shape=shape, dtype=torch.bool)
-
-
-def _period(copy: gymnasium.Env[Any, Any]) -> float | None:
-    """Return how long a step is [s]: `dt`, as MuJoCo's and the pendulum have it, or `tau`, as the cart-pole."""
-    bare = copy.unwrapped
-    for name in ("dt", "tau"):
-        found = getattr(bare, name, None)
-        if isinstance(found, int | float) and 0 < found < math.inf:
-            return float(found)
-    return None
 
 
 class _Observed:

@@ -5,7 +5,6 @@ are policies made from a policy, for `Scenario.wrappers`. Where a run has sensor
 how much noisier the sensors are.
 """
 
-import math
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -108,8 +107,11 @@ class SensorNoise:
         if not all(value >= 0 for value in (std or {}).values()):
             raise ValueError(f"the scenario's std is {dict(std or {})}; give numbers of 0 or more")
         self.policy, self.env = policy, env
-        own = _of_sensors(signature, sensors or {}) if std is None else [std.get(n, 0.0) for n in signature.state_names]
-        self.std = torch.tensor(own)
+        self.std = torch.tensor([(std or {}).get(name, 0.0) for name in signature.state_names])
+        if std is None:
+            scale = torch.tensor(signature.x_scale, dtype=torch.float64)
+            known = Sensors(sensors).variance(signature).sqrt() if sensors else torch.zeros_like(scale)
+            self.std = known.where((known > 0) & known.isfinite(), SHARE * scale).float()
         self.generator = torch.Generator().manual_seed(seed)
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -158,12 +160,6 @@ class DelayedActuator:
         """Say how late the inputs are."""
         periods = "1 control period" if self.periods == 1 else f"{self.periods} control periods"
         return f"inputs late by {periods}, {self.periods * self.dt:g} s"
-
-
-def _of_sensors(signature: Signature, sensors: Mapping[str, Channel | Mapping[str, float]]) -> list[float]:
-    variances = Sensors(sensors).variance(signature).tolist() if sensors else [0.0] * signature.n_x
-    told = [math.sqrt(variance) if 0 < variance < math.inf else 0.0 for variance in variances]
-    return [std or SHARE * scale for std, scale in zip(told, signature.x_scale, strict=True)]
 
 
 def _require_names(signature: Signature, values: Iterable[str], key: str) -> None:

@@ -79,7 +79,9 @@ def tracking_metrics(
     size = target[..., -1:, :] - before[..., :1, :]
     step = (size.abs() >= smallest) & (target == target[..., -1:, :]).all(-2, keepdim=True)
     progress = (before - before[..., :1, :]) / torch.where(step, size, 1.0)  # share of the step, 1 on the reference
-    of_steps = (100.0 * (progress.amax(-2) - 1.0).clamp_min(0.0), _rise_time(t, progress), _settling_time(t, progress))
+    start, end = (_first_crossing(t, progress, share) for share in RISE)
+    rise = torch.where(end.isinf(), end, end - start)  # inf - inf would be NaN, which is reserved for "not a step"
+    of_steps = (100.0 * (progress.amax(-2) - 1.0).clamp_min(0.0), rise, _settling_time(t, progress))
     return {
         "rmse": error.square().mean(-2).sqrt(),
         "mean_abs_error": error.mean(-2),
@@ -88,13 +90,6 @@ def tracking_metrics(
         "control_effort": u.square().mean(-2),
         "control_variation": u.diff(dim=-2).abs().mean(-2) / dt,
     }
-
-
-def _rise_time(time: Tensor, progress: Tensor) -> Tensor:
-    """Return the time between two shares of the step, `(*batch, n_r)` [s], inf where the larger is never reached."""
-    # inf - inf would be NaN, which is reserved for "not a step".
-    start, end = (_first_crossing(time, progress, share) for share in RISE)
-    return torch.where(end.isinf(), end, end - start)
 
 
 def _settling_time(time: Tensor, progress: Tensor) -> Tensor:

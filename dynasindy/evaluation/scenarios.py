@@ -291,30 +291,26 @@ def _run(
     calm: ControlEnv, policy: Policy, scenario: Scenario, start: TensorDictBase, sensing: Sensing | None, phase: str
 ) -> TensorDictBase:
     """Roll the policy out phase by phase, each phase with its own plant."""
-    parts, total = [], round((scenario.seconds or 0.0) / calm.dt)
+    end = scenario.seconds or 0.0
+    parts, total = list[TensorDictBase](), round(end / calm.dt)
 
     def _told(env: EnvBase, step: TensorDictBase) -> None:
         report_progress(phase, int(step["step_count"].max()), total, "control periods")
 
-    for steps, disturbed in _phases(scenario, calm.dt):
-        plant = calm.with_system(scenario.plant(calm.system)) if disturbed and scenario.plant else calm
+    windows = [(0.0, end)] if scenario.windows is None else scenario.windows
+    edges = [round(edge / calm.dt) for edge in (0.0, *(edge for window in windows for edge in window), end)]
+    for k, (begins, ends) in enumerate(pairwise(edges)):  # every second one is a window
+        if begins == ends:
+            continue
+        plant = calm.with_system(scenario.plant(calm.system)) if k % 2 and scenario.plant else calm
         env = plant if sensing is None else sensing.around(plant)
-        part = env.rollout(steps, policy, _told, auto_reset=False, tensordict=start, break_when_any_done=False)
+        part = env.rollout(ends - begins, policy, _told, auto_reset=False, tensordict=start, break_when_any_done=False)
         start = env.step_mdp(part[..., -1])
         parts.append(part)
     report_progress(phase, total, total, "control periods")  # of the last step the environment tells no more
     trajectory: TensorDictBase = torch.cat(parts, -1) if len(parts) > 1 else parts[0]
     require_finite_rollout(trajectory.transpose(0, 1).reshape(-1), f"evaluation in scenario '{scenario.name}'")
     return trajectory if sensing is None else unveiled(trajectory)
-
-
-def _phases(scenario: Scenario, dt: float) -> list[tuple[int, bool]]:
-    """Return the control periods of each phase and whether the disturbed plant holds in it."""
-    end = scenario.seconds or 0.0
-    windows = [(0.0, end)] if scenario.windows is None else scenario.windows
-    edges = [0.0, *(edge for window in windows for edge in window), end]
-    steps = [round(edge / dt) for edge in edges]
-    return [(end - start, k % 2 == 1) for k, (start, end) in enumerate(pairwise(steps)) if end > start]
 
 
 def _check_action(policy: Policy, start: TensorDictBase, n_u: int, name: str) -> None:

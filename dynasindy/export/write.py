@@ -6,7 +6,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from dynasindy.control import Controller, load
-from dynasindy.control.c_code import Native, Sources, controller_sources, model_sources
+from dynasindy.control.c_code import Native, controller_sources, model_sources
 from dynasindy.control.files import FORMAT, NAME
 from dynasindy.export.fmu import controller_fmu, plant_fmu
 from dynasindy.export.formats import casadi_source, latex_source
@@ -61,7 +61,12 @@ def write(
     found: list[str] = []
     missing: list[str] = []
     if controller is not None and "c" in formats:
-        found.append(_c(controller_sources(controller), folder))
+        sources, timed = controller_sources(controller), "not timed, as there is no C compiler on this computer"
+        for name, text in sources.files().items():
+            write_text(folder / name, text)
+        if compiler():
+            timed = f"{Native(sources).microseconds():.3g} us per call on this computer, compiled with -O2"
+        found.append(f"{' and '.join(sources.files())}: {timed}")
     if controller is not None and "onnx" in formats:
         try:
             controller_onnx(controller, folder / "controller.onnx")
@@ -82,8 +87,8 @@ def write(
     if "model" in formats and model is not None:
         texts = {"model.tex": ("the equations as LaTeX", latex_source(model))}
         texts |= {"model.py": ("the equations for CasADi", casadi_source(model))}
-        sources = {name: ("the equations in C", text) for name, text in model_sources(model).files().items()}
-        for name, (words, text) in (sources | texts).items():
+        code = {name: ("the equations in C", text) for name, text in model_sources(model).files().items()}
+        for name, (words, text) in (code | texts).items():
             write_text(folder / name, text)
             found.append(_size(folder / name, words))
     if controller is None:
@@ -93,15 +98,6 @@ def write(
     if not found:
         raise ValueError("; ".join(missing) or "nothing is written: formats is empty; give some of c, onnx, fmu, model")
     return found + missing
-
-
-def _c(sources: Sources, folder: Path) -> str:
-    for name, text in sources.files().items():
-        write_text(folder / name, text)
-    timed = "not timed, as there is no C compiler on this computer"
-    if compiler():
-        timed = f"{Native(sources).microseconds():.3g} us per call on this computer, compiled with -O2"
-    return f"{' and '.join(sources.files())}: {timed}"
 
 
 def _fmu(path: Path, built: bool) -> str:

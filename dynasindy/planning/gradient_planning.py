@@ -327,7 +327,9 @@ class GradientPlanning(Planner):
         best_weights, failures, done, made = self._weights(), 0, 0, 0
         for done in range(1, updates + 1):
             report_progress("planning", done, updates, "updates", f"score {best:.3g}" if math.isfinite(best) else "")
-            optimizer.param_groups[0]["lr"] = rate * _schedule(done - 1, updates)
+            # Ten steps of warm-up, then half a cosine down to 1 %.
+            fall = 0.01 + 0.99 * (0.5 * (1 + math.cos(math.pi * (done - 1) / updates)))
+            optimizer.param_groups[0]["lr"] = rate * (min(1.0, done / 10) * fall)
             made += self._update(episodes, optimizer)
             if done % self.check_every == 0 or done == updates:
                 # Without a step so far the rest of the phase would bring none either.
@@ -408,9 +410,3 @@ def _imagined_task(task: Task, width: float | None, warm_start: bool | None) -> 
     smooth = task.fenced(FENCE)
     smooth.reward_function = replace(task.reward_function, error_shape="linear", width=width, bonus=0.0)
     return smooth
-
-
-def _schedule(step: int, steps: int) -> float:
-    """Return the factor on the learning rate: ten steps of warm-up, then half a cosine down to 1 %."""
-    fall = 0.5 * (1 + math.cos(math.pi * step / steps))
-    return min(1.0, (step + 1) / 10) * (0.01 + 0.99 * fall)

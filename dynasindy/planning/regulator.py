@@ -150,7 +150,14 @@ def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float 
         r: Weight of each squared input.
         step: Of the difference equation that the model is [s]; None of a differential equation.
     """
-    a, b = _discretize(a, b, dt, step)
+    if step is None:  # the input is a state that does not change; scipy.signal has this for a second of imports
+        held = pad(torch.cat((a, b), 1), (0, 0, 0, b.shape[1]))
+        a, b = torch.as_tensor(expm((held * dt).numpy()))[: len(a)].split([len(a), b.shape[1]], 1)
+    else:  # x + step (a x + b u), again and again
+        h, count, _ = steps_of(step, dt, 1)
+        once = torch.eye(len(a), dtype=a.dtype) + h * a
+        powers = [torch.linalg.matrix_power(once, k) for k in range(count)]
+        a, b = once @ powers[-1], h * torch.stack(powers).sum(0) @ b
     for discount in (1.0, DISCOUNT):
         f, g, cost = discount * a.numpy(), discount * b.numpy(), r * np.eye(b.shape[1])
         try:
@@ -164,19 +171,6 @@ def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float 
             slowest = -1.0 / float(np.log(max(radius, 1e-3)))
             return _Solved(torch.as_tensor(gain), torch.as_tensor(p), slowest, torch.as_tensor(closed))
     return None
-
-
-def _discretize(a: Tensor, b: Tensor, dt: float, step: float | None = None) -> tuple[Tensor, Tensor]:
-    """Sample dx/dt = a x + b u, or the difference equation x + step (a x + b u), under an input held for `dt` [s]."""
-    if step is not None:
-        h, count, _ = steps_of(step, dt, 1)
-        once = torch.eye(len(a), dtype=a.dtype) + h * a
-        powers = [torch.linalg.matrix_power(once, k) for k in range(count)]
-        return once @ powers[-1], h * torch.stack(powers).sum(0) @ b
-    # The input is a state that does not change. scipy.signal has this as a function, for a second of imports.
-    held = pad(torch.cat((a, b), 1), (0, 0, 0, b.shape[1]))
-    sampled = torch.as_tensor(expm((held * dt).numpy()))[: len(a)]
-    return sampled[:, : len(a)], sampled[:, len(a) :]
 
 
 def _terms(r: Tensor) -> Tensor:

@@ -44,15 +44,6 @@ def unpack(datagram: bytes, n: int) -> tuple[int, Array] | None:
     return number, np.array(values)
 
 
-def _strange(datagram: bytes, n: int) -> str:
-    """Say why a datagram is no sample of n states."""
-    begins = "" if datagram[:4] == MAGIC else f" that begin with {datagram[:4]!r}"
-    return (
-        f"what came last is no sample: {len(datagram)} bytes{begins}, and a sample of this rig is {8 + 8 * n} bytes: "
-        f"DYN1, its number as a uint32, and {n} double{'s' * (n != 1)}, one for each state of system"
-    )
-
-
 class UdpRig:
     """A rig that streams samples over UDP and takes inputs the same way.
 
@@ -131,7 +122,12 @@ class UdpRig:
                 continue
             found = unpack(datagram, self.n_x)
             if found is None:
-                self.strange = _strange(datagram, self.n_x)
+                begins = "" if datagram[:4] == MAGIC else f" that begin with {datagram[:4]!r}"
+                self.strange = (
+                    f"what came last is no sample: {len(datagram)} bytes{begins}, and a sample of this rig is "
+                    f"{8 + 8 * self.n_x} bytes: DYN1, its number as a uint32, and {self.n_x} "
+                    f"double{'s' * (self.n_x != 1)}, one for each state of system"
+                )
             elif found[0] > self.last:
                 self.last, newest, self.strange = *found, ""
                 self.first = self.last if self.first is None else self.first

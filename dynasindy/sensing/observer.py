@@ -293,7 +293,12 @@ class Observer:
         self.nis = math.nan
         self.q = self._candidates()
         if self.pushed and not self.sensors.rate_indices(self.model.signature):
-            self._size_pushes(self.follow(y, u)[0], u)
+            # A push on a state that is no rate has as its range what usually moves that [its unit per second]: a rate's
+            # range in a second is right for machines, not for what takes minutes, as a tank does.
+            means = self.follow(y, u)[0]
+            moves = self.model(means[len(means) // 2, :-1, : self.n_x], u.double())[:, self.pushed]
+            usual = moves.where(moves.isfinite(), 0.0).square().mean(0).sqrt()
+            self.scale[self.n_x :] = torch.where(usual > 0, usual, self.scale[: self.n_x][self.pushed])
             self.q = self._candidates()
         try:
             means, nis, likelihoods = self.follow(y, u)
@@ -325,14 +330,6 @@ class Observer:
         self.nis = None if state["nis"] is None else float(state["nis"])
         if "push_ranges" in state:
             self.scale[self.n_x :] = _positive(state["push_ranges"], len(self.pushed), "range", "pushes")
-
-    def _size_pushes(self, means: Tensor, u: Tensor) -> None:
-        """Take as the range of a push on a state that is no rate what usually moves that [its unit per second]."""
-        # A rate's range in a second is right for machines, not for what takes minutes, as a tank does.
-        x = means[len(means) // 2, :-1, : self.n_x]
-        moves = self.model(x, u.double())[:, self.pushed]
-        usual = moves.where(moves.isfinite(), 0.0).square().mean(0).sqrt()
-        self.scale[self.n_x :] = torch.where(usual > 0, usual, self.scale[: self.n_x][self.pushed])
 
     def _candidates(self) -> Tensor:
         """Return the process noises to choose from, `(rows, n)`."""

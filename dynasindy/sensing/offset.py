@@ -67,17 +67,13 @@ def acting(policy: Policy, env: Sampled, pushed: bool = False) -> Policy:
         env: Where it acts; the task has the limits.
         pushed: Whether an observer estimates a push, under `observer`, which is counteracted.
     """
-    if pushed:
-        return partial(_offset_free, policy, env)
-    return partial(_limited, policy, env) if env.task.limited else policy
+    return partial(_act, policy, env, pushed) if pushed or env.task.limited else policy
 
 
-def _limited(policy: Policy, env: Sampled, tensordict: TensorDictBase) -> TensorDictBase:
-    return tensordict.set("action", env.task.limit(policy(tensordict)["action"]))
-
-
-def _offset_free(policy: Policy, env: Sampled, tensordict: TensorDictBase) -> TensorDictBase:
-    """Write the action for the state without the push, and what counteracts it."""
+def _act(policy: Policy, env: Sampled, pushed: bool, tensordict: TensorDictBase) -> TensorDictBase:
+    """Write the action, or that for the state without the push and what counteracts it, within the limits."""
+    if not pushed:
+        return tensordict.set("action", env.task.limit(policy(tensordict)["action"]))
     x, t = tensordict["state"], tensordict["step_count"] * env.dt
     dx, du = tensordict["observer", "shift"].split([x.shape[-1], env.task.signature.n_u], -1)
     seen = tensordict.copy().set("state", x - dx)

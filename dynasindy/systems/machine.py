@@ -254,10 +254,7 @@ def _source(program: Program, width: int, single: bool) -> str:
 def _body(lines: Sequence[tuple[str, str]], results: Sequence[str], single: bool) -> str:
     """Return values and results as statements of C."""
     statements = [*(f"const real {name} = {formula};" for name, formula in lines), *results]
-    return "\n".join(f"        {_in_c(statement, single)}" for statement in statements)
-
-
-def _in_c(text: str, single: bool) -> str:
+    text = "\n".join(f"        {statement}" for statement in statements)
     if single:
         text = _CALLED.sub(lambda call: f"{SINGLE[call[1]]}(", text)
     return _FRACTION.sub(r"(real)\1", _STATE.sub(r"\1[\2 * W + r]", text))

@@ -84,7 +84,10 @@ class Transitions:
         x = torch.cat([start.unsqueeze(-2), samples[..., :-1, :]], dim=-2).reshape(-1, n_x)
         held = u.unsqueeze(-2).expand(*u.shape[:-1], substeps, u.shape[-1]).reshape(-1, u.shape[-1])
         x_next = samples.reshape(-1, n_x)
-        return cls(x, held, x_next, dt, _segments(x, x_next), substeps)
+        same = (x[1:] == x_next[:-1]) | (x[1:].isnan() & x_next[:-1].isnan())  # NaN is what was not measured
+        breaks = torch.zeros(len(x), dtype=torch.int64, device=x.device)
+        breaks[1:] = (~same.all(-1)).long()
+        return cls(x, held, x_next, dt, breaks.cumsum(0), substeps)
 
     @classmethod
     def cat(cls, parts: Sequence[Transitions]) -> Transitions:
@@ -177,11 +180,3 @@ class Transitions:
             return self
         u_end = None if self.u_end is None else self.u_end.to(dtype)
         return replace(self, x=self.x.to(dtype), u=self.u.to(dtype), x_next=self.x_next.to(dtype), u_end=u_end)
-
-
-def _segments(x: Tensor, x_next: Tensor) -> Tensor:
-    """Number the unbroken stretches of rows that should follow each other."""
-    breaks = torch.zeros(x.shape[0], dtype=torch.int64, device=x.device)
-    same = (x[1:] == x_next[:-1]) | (x[1:].isnan() & x_next[:-1].isnan())  # NaN is what was not measured
-    breaks[1:] = (~same.all(-1)).long()
-    return breaks.cumsum(0)

@@ -1,7 +1,7 @@
 """Seeing a controller move: the plant beside its outputs over time, as GIF."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import matplotlib
@@ -89,15 +89,10 @@ def animate(evaluation: Evaluation, path: Path, seconds: float = 10.0) -> Path:
     every = max(1, round(speed / (RATE * dt)))
     row, _ = representative_episode(evaluation)
     pictures = track("animation", _frames(evaluation, row, every), math.ceil(len(evaluation.time) / every), "pictures")
-    _write_gif(pictures, path, every * dt / speed)
-    return path
-
-
-def _write_gif(pictures: Iterable[Frame], path: Path, seconds: float) -> None:
-    """Write pictures `seconds` apart; 64 colours without dithering keep the file small."""
-    # The octree keeps thin coloured lines, which the default merges into the large grey areas.
+    # 64 colours without dithering keep the file small; the octree keeps thin lines, which the default turns grey.
     octree, plain = Image.Quantize.FASTOCTREE, Image.Dither.NONE
     images = [Image.fromarray(picture).quantize(64, method=octree, dither=plain) for picture in pictures]
-    more = {"append_images": images[1:], "duration": round(1000 * seconds), "loop": 0}
+    more = {"append_images": images[1:], "duration": round(1000 * every * dt / speed), "loop": 0}
     with replace_file(path) as file:
         images[0].save(file, format="gif", save_all=True, **more)
+    return path

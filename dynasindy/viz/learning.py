@@ -73,7 +73,9 @@ def draw_ablation(results: Path, level: Level) -> list[Path]:
     for (system, experiment), group in rows.groupby(["system", "experiment"], sort=False):
         case = file_name(f"{system}_{experiment}", "plant and experiment")
         title = f"plant {system}, experiment {experiment}"
-        lines = group.assign(setting=_without_common_words(group["setting"]))
+        words = group["setting"].str.split(",")  # of the command line; those that all share say nothing
+        common = set.intersection(*(set(each[1:]) for each in words))
+        lines = group.assign(setting=[",".join(word for word in each if word not in common) for each in words])
         shares = SHARE in lines and bool(lines[SHARE].notna().all())
         errors = _curves(lines, 100 * lines[SHARE] if shares else worst_errors(lines))
         few = [name for name in errors if re.fullmatch(r"rollouts_\d+", name)] if len(errors) > MOST_NAMED else []
@@ -135,13 +137,6 @@ def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike) -> None:
     axis.set_xlim(episodes[0] - room, episodes[-1] + room)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_xlabel("real episode")
-
-
-def _without_common_words(settings: pd.Series[str]) -> list[str]:
-    """Return settings that lack the words of the command line which all of them share."""
-    words = [setting.split(",") for setting in settings]
-    common = set.intersection(*(set(each[1:]) for each in words))
-    return [",".join(word for word in each if word not in common) for each in words]
 
 
 def _curves(rows: pd.DataFrame, values: pd.Series[float]) -> dict[str, Array]:

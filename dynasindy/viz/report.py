@@ -154,7 +154,11 @@ def render_markdown(sections: Mapping[str, Section]) -> str:
 
     loader = jinja2.PackageLoader("dynasindy.viz", "")
     page = jinja2.Environment(loader=loader, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    page.filters |= {"paragraph": _paragraph, "escape_markdown": escape_markdown}
+    fill = partial(textwrap.fill, width=WIDTH, break_long_words=False, break_on_hyphens=False)
+    page.filters |= {
+        "paragraph": lambda words: fill(escape_markdown(words.strip())),
+        "escape_markdown": escape_markdown,
+    }
     text = page.get_template("report.md.jinja").render(
         {name: value for name, value in globals().items() if name.isupper()},  # what verdicts depend on
         BEYOND=BEYOND,
@@ -167,23 +171,12 @@ def render_markdown(sections: Mapping[str, Section]) -> str:
     return re.sub(r"\n{3,}", "\n\n", text.strip()) + "\n"
 
 
-def _paragraph(words: str) -> str:
-    return textwrap.fill(escape_markdown(words.strip()), WIDTH, break_long_words=False, break_on_hyphens=False)
-
-
 @dataclass(frozen=True)
 class Run:
     """A saved run: its folder and its resolved configuration."""
 
     folder: Path
     settings: Mapping[str, Any]
-
-    def setting(self, key: str) -> Any:
-        """Return a setting by its dotted key, None where the run has none."""
-        value: Any = self.settings
-        for step in key.split("."):
-            value = value.get(step) if isinstance(value, Mapping) else None
-        return value
 
     @property
     def source(self) -> str:
@@ -286,7 +279,7 @@ def _verdict(judged: Sequence[tuple[str, Judgement]]) -> Section:
 def _training(results: Results, plant: str, experiment: str) -> Made:
     run = results.run(plant, experiment)
     table = read_table(run.folder / "data/excitation.csv")
-    substeps = int(run.setting("env.substeps") or 1)
+    substeps = int(run.settings["env"]["substeps"])
     samples, step = len(table) * substeps, (table["time"][1] - table["time"][0]) / substeps
     figure = training_data(table["time"], table[STATES], table[INPUTS], SIGNATURE, f"Training data of {plant}")
     caption = f"What the first model of `{plant}` was fitted to: {samples} samples, {step:.3g} s apart, and the inputs."
@@ -297,7 +290,7 @@ def _model_learning(results: Results, plant: str, experiment: str) -> Made:
     run = results.run(plant, experiment)
     table = read_table(run.folder / "gate.csv")
     opened = table["episode"][table["open"] == 1]
-    below = float(run.setting("gate.open_below"))
+    below = float(run.settings["gate"]["open_below"])
     yield judge_learning(array(table["episode"]), array(table["reward_error"]), array(opened), below)
     figure = gate(table, f"SINDy model learning progress: plant {plant}, experiment {experiment}")
     caption = f"Error of the model over the episodes on `{plant}`, `{experiment}`."
@@ -324,7 +317,7 @@ def _states(results: Results, plant: str, experiment: str, episode: str) -> Made
     x, u = (torch.tensor(array(table[names])) for names in (STATES, INPUTS))
     dt = float(table["time"][1] - table["time"][0])
     data = Transitions(x[:-1], u[:-1], x[1:], dt, torch.zeros(len(x) - 1, dtype=torch.int64))
-    predicted = open_loop(SindyModel.load(run.folder / "model.json"), data, int(run.setting("env.substeps") or 1))
+    predicted = open_loop(SindyModel.load(run.folder / "model.json"), data, run.settings["env"]["substeps"])
     yield judge_model("so they are when the chirp is applied again", _state_errors(x[1:].numpy(), predicted.numpy()))
 
 
@@ -390,7 +383,7 @@ def _steps(results: Results, plant: str, experiment: str) -> Made:
     _, figure = _draw_tracking(runs, "step", f"Step tracking: plant {plant}, experiment {experiment}")
     scores = {words: read_json(run.folder / "metrics.json")["evaluation"] for words, run in runs.items()}
     yield from judge_steps(scores)
-    caption = f"A step on `{plant}`, after {runs[MANY].setting('train.episodes')} episodes."
+    caption = f"A step on `{plant}`, after {runs[MANY].settings['train']['episodes']} episodes."
     yield Picture(f"step_{plant}_{experiment}", figure, caption, [run.source for run in runs.values()])
 
 
@@ -400,7 +393,7 @@ def _wave(results: Results, plant: str, experiment: str, shape: str) -> Made:
     tables, figure = _draw_tracking(runs, shape, f"{shape.capitalize()} wave: plant {plant}, experiment {experiment}")
     flown = (array(tables[MANY][names]) for names in ("time", REFERENCES, TRACKED))
     yield from (judge_sine if shape == "sine" else judge_square)(*flown)
-    caption = f"The {shape} wave on `{plant}`, after {runs[MANY].setting('train.episodes')} episodes."
+    caption = f"The {shape} wave on `{plant}`, after {runs[MANY].settings['train']['episodes']} episodes."
     yield Picture(f"{shape}_{plant}_{experiment}", figure, caption, [run.source for run in runs.values()])
 
 

@@ -184,13 +184,6 @@ static void weigh_stages(const struct flow *f, double (*after)[W])
 static void add_own(const struct flow *f, int n_p, const int *feature, const int *state, double (*own)[W])
 {
     int n_x = f->n_x, n_f = f->n_f;
-    if (f->stages == 1) {
-        for (int k = 0; k < n_p; k++) {
-            const double *p = f->weight[state[k]], *q = f->theta[feature[k]];
-            for (int r = 0; r < W; r++) own[k][r] += p[r] * q[r];
-        }
-        return;
-    }
     for (int k = 0; k < n_p; k++) {
         const double *p = f->weight[state[k]], *q = f->theta[feature[k]];
         double *restrict c = own[k];
@@ -252,6 +245,7 @@ void simulate(long rows, long periods, int n_x, int n_u, int n_k, int n_v, int n
     f.weight = f.of_shape + 4 * n_shape_places;
     f.moved = f.weight + 4 * n_x;
     double (*own)[W] = f.moved + 4 * n_x, (*s)[W] = own + size, (*spare)[W] = s + size;
+    if (difference) memset(f.theta, 0, (own - f.theta) * sizeof *own); /* of stages that it has not */
     for (int k = 0; k < n_k; k++)
         for (int r = 0; r < W; r++) f.v[n_x + n_u + k][r] = constants[k];
     for (long first = 0; first < rows; first += W) {
