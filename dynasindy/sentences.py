@@ -155,6 +155,7 @@ LEFT_OUT = {
     "label": "labels, of two values or a few that hardly change",
     "derived": "sums of a few multiples or products of other columns, or roots or integrals of such",
     "noise": "noise from row to row, which nothing in the row before tells",
+    "unmoved": "moved by no other column, and telling nothing of others",
     "shifted": "samples of other columns a row earlier or later",
     "direct": "jumping with an input, as an acceleration does and no state can",
 }

@@ -23,6 +23,7 @@ from dynasindy.identification.forecast_errors import LOST, ForecastErrors, forec
 from dynasindy.identification.log_fit import LogFit, fit_log
 from dynasindy.identification.recording_diagnostics import low_signal_findings, low_signal_states
 from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source, named_rates, rates_of
+from dynasindy.identification.unmoved import unmoved_states
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import checked, write_json, write_text
 from dynasindy.sentences import error_of, line, lines, verdict_lines
@@ -59,12 +60,18 @@ class LoggedData(LogReader, DataSource):
 
     validation_share: float = VALIDATION_SHARE
 
+    def source(self, plant: Signature | None = None) -> Source:
+        """Read the file without states that nothing moves, unless states, rates or a plant are given."""
+        source = Source.of(self.recording(plant), self.validation_share)
+        given = self.states is not None or bool(self.known) or plant is not None
+        return source if given else source.without(unmoved_states(source.training, source.signature))
+
     def load(self, system: System | None, excitation: Callable[..., Excitation] | None) -> Source:
         """Read the file, and add what it lacks; of the plant names, units and ends are used, nothing of the excitation.
 
         Rates that are known and that neither the file nor the plant has become states that the model tells.
         """
-        source = Source.of(self.recording(None if system is None else system.signature), self.validation_share)
+        source = self.source(None if system is None else system.signature)
         if system is not None and system.known:
             return source
         known = self.known_rates(source.signature.state_names)
@@ -137,7 +144,7 @@ def read(
     Args:
         path: The file, with a line of headings such as `angle [rad]`; or a list of files with the same columns.
         states: Columns of the states by name: the heading, or keys of `dynasindy.data.columns.Column`; a list takes
-            them as they are; all columns but time and inputs if omitted.
+            them as they are; all columns but time, inputs and what tells nothing of a plant if omitted.
         inputs: Columns of the inputs, likewise; those that are called `u`, `u_...` or `input_...` if omitted.
         time: Heading of the time column, in seconds unless it says another unit, as in `count [ms]`.
         dt: Sampling time [s]; the file's own if omitted. Where the time counts rows it is the time between two.
@@ -152,7 +159,7 @@ def read(
         ValueError: The file is no log of a plant.
     """
     files = str(path) if isinstance(path, str | Path) else list(map(str, path))
-    return Source.of(LoggedData(files, states, inputs, time, dt).recording(), validation_share)
+    return LoggedData(files, states, inputs, time, dt, validation_share=validation_share).source()
 
 
 @checked

@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from dynasindy.data.rates import with_rates
-from dynasindy.findings import Finding, note
+from dynasindy.findings import Finding, note, weak
 from dynasindy.sentences import setting
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.lag_states import widened
@@ -110,6 +110,22 @@ class Source:
         added = found.signature.state_names[self.signature.n_x :]
         findings = (note("log.unmeasured", state=name) for name in added)
         return replace(found, signature=signature, findings=(*found.findings, *findings))
+
+    def without(self, names: Collection[str]) -> Source:
+        """Return the data without some of their states, which are said to be left out."""
+        if not names:
+            return self
+        mine, kept = self.signature, [i for i, name in enumerate(self.signature.state_names) if name not in names]
+        columns: dict[str, Any] = {
+            key: tuple(getattr(mine, key)[i] for i in kept) for key in ("state_names", "state_units", "x_scale")
+        }
+        training, validation = (
+            replace(data, x=data.x[:, kept], x_next=data.x_next[:, kept]) for data in (self.training, self.validation)
+        )
+        findings = (*self.findings, weak("log.left_out", why="unmoved", columns=list(names)))
+        return replace(
+            self, signature=replace(mine, **columns), training=training, validation=validation, findings=findings
+        )
 
     def with_unmeasured(self, signature: Signature) -> Source:
         """Return the data with the states of a signature that come behind those of the data, which no sensor sees.

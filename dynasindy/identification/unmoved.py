@@ -1,0 +1,75 @@
+"""Columns of a log that are no states of the plant: nothing moves them, and they tell nothing of what is moved."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dynasindy.identification.forecast_errors import (
+    LinearModel,
+    characteristic,
+    errors_over,
+    samples_after,
+    start_rows,
+)
+from dynasindy.sindy.shooting import choose_stretches
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+
+PAST, ROWS = 8, 4000
+"""Past samples that a linear model may read here, and rows that it is fitted to at most."""
+SLOWEST, FARTHEST, HORIZONS = 3, 1000, 5
+"""How far ahead they predict [times in which the slowest state changes], [samples] at most, and over how many times."""
+BETTER = 0.95
+"""Part of an error to which another one must fall at some time ahead, to be of a model that knows more."""
+
+
+def unmoved_states(data: Transitions, signature: Signature) -> list[str]:
+    """Return states that are foretold best by their own past alone, and that foretell no other one.
+
+    Those are a temperature of the computer or its free memory, say, beside the states of a plant. Linear models of
+    past samples with and without the others are fitted to the first three quarters and compared on the last one.
+
+    Args:
+        data: the recording.
+        signature: its names.
+    """
+    early = torch.arange(len(data)) < 3 * len(data) // 4
+    fit, kept = data.select(early), data.select(~early)
+    fit = fit.select(choose_stretches(len(fit), ROWS))
+    reach = start_rows(kept, PAST)[1]
+    last = min(reach // 5, max(round(SLOWEST * characteristic(fit, signature) / data.dt), 2), FARTHEST)
+    if data.x.shape[1] < 2 or last < 2:
+        return []
+    starts, _ = start_rows(kept, PAST, last)
+    later, real = samples_after(kept, starts, last)
+    steps = sorted({round(k) for k in np.geomspace(1, last, HORIZONS).tolist()})
+
+    def _errors(states: Sequence[int], driven: bool = True) -> Tensor:
+        """Return errors of models of some states, of the best one over each horizon, `(H, n)`."""
+        mine, theirs = (_of_states(part, states, driven) for part in (fit, kept))
+        models = LinearModel.candidates(mine, PAST)
+        errors = [errors_over(model.predict(theirs, starts, later), real[..., states], steps) for model in models]
+        return torch.stack(errors or [real.new_full((len(steps), len(states)), math.nan)]).amin(0)
+
+    def _no_better(ours: Tensor, theirs: Tensor) -> Tensor:
+        return (theirs.isfinite() & (ours >= BETTER * theirs)).all(0)
+
+    states = list(range(data.x.shape[1]))
+    alone, together = torch.cat([_errors([i], driven=False) for i in states], 1), _errors(states)
+    unmoved = [i for i in states if _no_better(together, alone)[i] and _no_better(_errors([i])[:, 0], alone[:, i])]
+    moved = [i for i in states if i not in unmoved]
+    if not unmoved or not moved or not bool(_no_better(together[:, moved], _errors(moved)).all()):
+        return []
+    return [signature.state_names[i] for i in unmoved]
+
+
+def _of_states(data: Transitions, states: Sequence[int], driven: bool) -> Transitions:
+    """Return a recording of some states, and of inputs that stand still where nothing is to be driven."""
+    u = data.u if driven else torch.zeros_like(data.u)
+    return replace(data, x=data.x[:, states], x_next=data.x_next[:, states], u=u, u_end=data.u_end if driven else None)
