@@ -192,7 +192,10 @@ def replace_file(path: str | Path) -> Iterator[BinaryIO]:
     path = Path(path)
     temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
     try:
-        _require_replaceable(path)
+        if path.is_symlink():
+            raise LinkError(path)
+        if path.exists() and not (path.is_file() or path.is_dir()):  # of a folder the system says so
+            raise FileError(f"{path} is no file, and nothing can take its place; give another name")
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK, 0o666)
         try:
@@ -210,13 +213,6 @@ def replace_file(path: str | Path) -> Iterator[BinaryIO]:
         if error.filename in (None, str(temporary)):  # a full disk does not say whose file found no room
             error.filename = str(path)
         raise
-
-
-def _require_replaceable(path: Path) -> None:
-    if path.is_symlink():
-        raise LinkError(path)
-    if path.exists() and not (path.is_file() or path.is_dir()):  # of a folder the system says so
-        raise FileError(f"{path} is no file, and nothing can take its place; give another name")
 
 
 def _sync(folder: Path) -> None:

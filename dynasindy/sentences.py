@@ -250,13 +250,6 @@ def _identifiability(rank: int, count: int, condition: float, weakest: Mapping[s
 # --- the model -------------------------------------------------------------------------------------------------------
 
 
-def _misses(seconds: float, errors: Mapping[str, float], units: Mapping[str, str], held: Mapping[str, float]) -> str:
-    said = ", ".join(f"{name} by {error_of(error)} {units[name]}" for name, error in errors.items())
-    than = ", ".join(map(error_of, held.values()))
-    over = format_duration(seconds)
-    return f"this model does not predict: over {over} it misses {said}; the last value held misses {than}"
-
-
 def verdict_lines(findings: Sequence[Finding]) -> list[str]:
     """Return a verdict: what is wrong comes first, then what limits a promise, then what is promised.
 
@@ -598,7 +591,11 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "model.incomplete": "this model is better than the last value held for {seconds:time}, but it lacks something",
     "model.runs_away": "this model does not predict: within {seconds:time} it runs away in {states:list}",
-    "model.misses": _misses,
+    "model.misses": lambda seconds, errors, units, held: (
+        f"this model does not predict: over {format_duration(seconds)} it misses "
+        + ", ".join(f"{name} by {error_of(error)} {units[name]}" for name, error in errors.items())
+        + f"; the last value held misses {', '.join(map(error_of, held.values()))}"
+    ),
     "model.unstable_plant": "a linear model on past samples lets {states:and} run away, too, as a pole does that "
     "falls; up to {seconds:time} ahead this model has at most half of the error of the last value held",
     "model.linear_better": "a linear model on past samples predicts {state} {seconds:time} ahead to {linear:error} "

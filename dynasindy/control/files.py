@@ -115,7 +115,16 @@ def load(path: str | Path) -> Controller:
         signature = Signature(**record["signature"])
         setup = _setup(signature, record["task"])
         policy = TensorDictModule(_network(record["policy"], setup.task), in_keys=["observation"], out_keys=["action"])
-        observer = _loaded_observer(record["observer"], setup, file)
+        observer, known = None, record["observer"]
+        if known is not None:
+            model = SindyModel.of_record(known["model"], file)
+            # The ranges may differ: of an output that a log shows far beyond its targets, policy and model have each
+            # its own.
+            if not model.signature.alike(signature):
+                raise ValueError("the model of its observer has other states than the controller")
+            own = {name: value for name, value in known["sensors"].items() if name != "process_noise"}  # in older files
+            observer = Observer(model, Sensors(**own), setup)
+            observer.load_state_dict(known["state"])
         integral = record["integral"]
         numbers = None if integral is None else {name: _positive(value) for name, value in integral.items()}
         return Controller(policy, setup, observer, numbers)
@@ -223,16 +232,3 @@ def _stops(record: Mapping[str, Any] | None, n_x: int) -> Stops | None:
     stops = Stops(tuple(record["positions"]), tuple(record["rates"]), low, high)
     stops.rows(n_x)  # refuses states that do not exist
     return stops
-
-
-def _loaded_observer(record: Mapping[str, Any] | None, setup: ControlSetup, file: Path) -> Observer | None:
-    if record is None:
-        return None
-    model = SindyModel.of_record(record["model"], file)
-    # The ranges may differ: of an output that a log shows far beyond its targets, policy and model have each its own.
-    if not model.signature.alike(setup.task.signature):
-        raise ValueError("the model of its observer has other states than the controller")
-    sensors = {name: value for name, value in record["sensors"].items() if name != "process_noise"}  # in older files
-    observer = Observer(model, Sensors(**sensors), setup)
-    observer.load_state_dict(record["state"])
-    return observer

@@ -14,7 +14,6 @@ from dynasindy.dyna.experiment import Components, LoopSettings
 from dynasindy.envs.rollout_data import measurements_and_inputs, transitions
 from dynasindy.planning import ModelError, replay_error
 from dynasindy.progress import report_progress
-from dynasindy.sindy import WorldModel
 from dynasindy.systems import Diverged
 
 WINDOW = 20
@@ -53,19 +52,16 @@ def _fit(parts: Components, held_out: Tensor | None = None) -> object:
         used[-len(held_out) :] &= ~held_out[-len(rows) :]
         rows = rows[used]
     report = parts.world_model.fit(transitions(rows, parts.model_env.log_dt))
-    _require_finite(parts.world_model, len(rows))
-    following = rows["next"]
-    parts.plant.task.learn(rows["state"], rows["action"], following["state"], following["reward"].squeeze(-1))
-    return report
-
-
-def _require_finite(model: WorldModel, count: int) -> None:
+    model = parts.world_model
     for name, learnt in chain(model.named_parameters(), model.named_buffers()):
         if not bool(learnt.isfinite().all()):
             raise Diverged(
-                f"model learning: the fit to {count} real steps left {name} that are not finite in "
+                f"model learning: the fit to {len(rows)} real steps left {name} that are not finite in "
                 f"{type(model).__name__}; choose a smaller library, or check what the plant logged"
             )
+    following = rows["next"]
+    parts.plant.task.learn(rows["state"], rows["action"], following["state"], following["reward"].squeeze(-1))
+    return report
 
 
 def first_fit(parts: Components, newest: TensorDictBase) -> object:

@@ -155,7 +155,10 @@ def _write(
         files["sources/buildDescription.xml"] = _fill("buildDescription.xml", **words).encode()
     built = compiler() is not None
     if built:
-        files[f"binaries/{_platform(version)}/{name}{SUFFIX}"] = _compiled(sources)
+        system = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
+        machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(), platform.machine().lower())
+        place = f"{system.replace('dows', '')}64" if version == 2 else f"{machine}-{system}"
+        files[f"binaries/{place}/{name}{SUFFIX}"] = _compiled(sources)
     with replace_file(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for member, content in files.items():
             archive.writestr(zipfile.ZipInfo(member, (2000, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
@@ -168,12 +171,3 @@ def _compiled(sources: Mapping[str, str]) -> bytes:
             (Path(place) / name).write_text(text, encoding="utf-8")
         units = [Path(place) / name for name in sources if name.endswith(".c")]
         return compile_library(units, Path(place) / f"unit{SUFFIX}").read_bytes()
-
-
-def _platform(version: int) -> str:
-    """Return the folder of libraries for this computer."""
-    system = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
-    if version == 2:
-        return f"{system.replace('dows', '')}64"
-    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(), platform.machine().lower())
-    return f"{machine}-{system}"

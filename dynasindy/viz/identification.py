@@ -145,7 +145,10 @@ def prediction(
         axes[i].set_title(_fit(truths[:, i], model[:, i], whole), fontsize=8.5, loc="right")
         measured = not np.isnan(truths[:, i]).all()
         if wide > 0 and (measured or bool((np.abs(np.nan_to_num(ended)) > scale).any())):
-            axes[i].set_ylim(*_limits(known, ended, wide))
+            # A model that runs away must not flatten the plant's own curve.
+            both, room = np.concatenate([known, ended[np.isfinite(ended)]]), (BEYOND - MARGIN) * wide
+            low, high = max(both.min(), known.min() - room), min(both.max(), known.max() + room)
+            axes[i].set_ylim(float(low - MARGIN * wide), float(high + MARGIN * wide))
     _finish(axes, columns, seconds, segment)
     return figure
 
@@ -175,13 +178,6 @@ def _until_lost(predicted: Array, real: Array, wide: float) -> Array:
     return np.where(np.logical_or.accumulate(lost), np.nan, predicted)
 
 
-def _limits(real: Array, predicted: Array, wide: float) -> tuple[float, float]:
-    """Return the ends of an axis around both curves; a model that runs away must not flatten the plant's own."""
-    seen, room = np.concatenate([real, predicted[np.isfinite(predicted)]]), (BEYOND - MARGIN) * wide
-    low, high = max(seen.min(), real.min() - room), min(seen.max(), real.max() + room)
-    return float(low - MARGIN * wide), float(high + MARGIN * wide)
-
-
 def _breaks(segment: ArrayLike | None) -> list[int]:
     """Return the first samples of all stretches but the first."""
     return [] if segment is None else (np.flatnonzero(np.diff(array(segment))) + 1).tolist()
@@ -205,19 +201,18 @@ def _finish(axes: Sequence[Axes], columns: int, seconds: Array, segment: ArrayLi
 
 def _fit(real: Array, predicted: Array, whole: str) -> str:
     """Return the error of a prediction in words, in percent of the range of what it predicts, which is `whole`."""
-    if np.isnan(real).all():
+    seen, finite = ~np.isnan(real), bool(np.isfinite(predicted).all())
+    if not seen.any():
         return "not measured"
-    seen = ~np.isnan(real)
-    with np.errstate(over="ignore", invalid="ignore"):
-        rmse, wide = float(np.sqrt(np.mean((real - predicted)[seen] ** 2))), float(np.ptp(real[seen]))
-    if not np.isfinite(predicted).all() or not np.isfinite(rmse):
-        return "runs away"
     real, predicted = real[seen], predicted[seen]
+    with np.errstate(over="ignore", invalid="ignore"):
+        rmse, wide = float(np.sqrt(np.mean((real - predicted) ** 2))), float(np.ptp(real))
+    if not finite or not np.isfinite(rmse):
+        return "runs away"
     if not wide > 0:
         return f"RMSE {rmse:.2g}"
     percent = 100 * rmse / wide
     cut = (predicted.max() - real.max() > BEYOND * wide) or (real.min() - predicted.min() > BEYOND * wide)
-    words = f"{percent:.0f}" if 99.5 <= percent < 1e6 else f"{percent:.2g}"
-    if percent < LEAST:
-        words = f"below {LEAST:g}"
+    digits = ".0f" if 99.5 <= percent < 1e6 else ".2g"
+    words = f"below {LEAST:g}" if percent < LEAST else format(percent, digits)
     return f"RMSE {words} % of {whole}" + ", cut off" * bool(cut)

@@ -97,20 +97,14 @@ def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, F
         unit = "deviations of the reward" if found.get("reward") else "reward per period"
         figures["gate"] = gate(decisions, unit=unit)
     response, which = read_table(folder / "data" / "step_response.csv"), found.get("drawn", {}).get("words", "")
-    figures["step_response"] = _response(response, signature, which, controller)
-    return figures
-
-
-def _response(table: pd.DataFrame, signature: Signature, which: str, controller: str) -> Figure:
-    """Draw the episode that the run saved; its title says which of how many it is."""
-    tracked = [name.removeprefix("reference_") for name in table if name.startswith("reference_")]
-    outputs = tracked or list(signature.state_names)
-    reference = table[[f"reference_{name}" for name in tracked]] if tracked else None
+    tracked = [name.removeprefix("reference_") for name in response if name.startswith("reference_")]
+    outputs, held = tracked or names, periods(response, inputs)
+    reference = response[[f"reference_{name}" for name in tracked]] if tracked else None
     step = reference is not None and bool((reference == reference.iloc[0]).all(axis=None))
-    title = f"{'Step response' if step else 'Response'}\n{which}".strip()
-    held = periods(table, signature.input_names)
-    y, u = {controller: table[outputs]}, {controller: held[list(signature.input_names)]}
-    return tracking(held["time"], reference, y, u, outputs, signature, title)
+    title = f"{'Step response' if step else 'Response'}\n{which}".strip()  # which episode of how many it is
+    y, u = {controller: response[outputs]}, {controller: held[inputs]}
+    figures["step_response"] = tracking(held["time"], reference, y, u, outputs, signature, title)
+    return figures
 
 
 def periods(table: pd.DataFrame, inputs: Sequence[str]) -> pd.DataFrame:
