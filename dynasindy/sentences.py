@@ -263,11 +263,6 @@ def verdict_lines(findings: Sequence[Finding]) -> list[str]:
 # --- a run -----------------------------------------------------------------------------------------------------------
 
 
-def _restarts(times: int, beyond: Sequence[Mapping[str, Any]]) -> str:
-    why = ["{state} beyond {low:g} to {high:g} {unit}, {times} times".format_map(each) for each in beyond]
-    return f"the excitation began anew at the start {times} times: {', '.join(why) or 'an episode was over'}"
-
-
 def _coarse_steps(apart: float | None, needed: int | None) -> str:
     mend = "no number of steps that was tried is enough, as of a plant that jumps or explodes"
     if needed is not None:
@@ -630,7 +625,11 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "plant.coarse_steps": _coarse_steps,
     "plant.longer_episodes": "episodes have {steps} control periods (<task.max_steps>), and the environment is "
     "registered with {registered}, a limit that does not hold here",
-    "excitation.restarts": _restarts,
+    "excitation.restarts": lambda times, beyond: (
+        f"the excitation began anew at the start {times} times: "
+        + ", ".join(map("{state} beyond {low:g} to {high:g} {unit}, {times} times".format_map, beyond))
+        + "an episode was over" * (not beyond)
+    ),
     "excitation.stops": "the excitation reached a mechanical stop in {count} of {total} control periods; the model is "
     "fitted to the others{much:?(a smaller <excitation.amplitude>, or another <excitation.offset>, leaves more)}",
     "run.better": "the trained policy is better than the untrained one{hardly:?(hardly)}: its return in scenario "

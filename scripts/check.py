@@ -42,7 +42,6 @@ def main(cfg: Any) -> None:
     record = check_record(found)
     metrics = folder.parent / "metrics.json"
     if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
-        ends = {"low": list(settings.low), "high": list(settings.high)}
         add_to_json(metrics, "check", {"stable": bool(found.stable.all()), "findings": record["findings"], **ends})
     write_json(folder / "check.json", record)
     save_figures(draw_check(found), folder, cfg.formats)

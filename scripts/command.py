@@ -398,19 +398,14 @@ def require_keys(config_name: str, settings: list[str]) -> list[str]:
             raise ValueError(f"'{key}' follows another key; give {source}.{name} instead")
         new = key not in names and word[0] not in "+~"
         if new and not ("plant" in names and key.startswith("plant.")):
-            raise ValueError(_misspelt(key, names))
+            names.sort(key=lambda each: each.count("."))
+            known = [each for each in names if not re.search(r"\[|(^|\.)_", each)]
+            while group not in ("", *known):
+                group = group.rpartition(".")[0]
+            own = [each.rpartition(".")[2] for each in known if each.rpartition(".")[0] == group]
+            raise ValueError(unknown_name(key.removeprefix(f"{group}."), own, group, known))
         added += [word] * new
     return [f"++{word}" if word in added else word for word in settings]
-
-
-def _misspelt(key: str, names: list[str]) -> str:
-    """Return which keys stand where one was given that does not exist."""
-    known = sorted((each for each in names if not re.search(r"\[|(^|\.)_", each)), key=lambda name: name.count("."))
-    group = key.rpartition(".")[0]
-    while group not in ("", *known):
-        group = group.rpartition(".")[0]
-    own = [each.rpartition(".")[2] for each in known if each.rpartition(".")[0] == group]
-    return unknown_name(key.removeprefix(f"{group}."), own, group, known)
 
 
 def compose(config_name: str | None, settings: list[str]) -> DictConfig:

@@ -63,8 +63,12 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> tupl
             return _chosen(samples * step, kind, fastest)
         return _chosen(step, f"sample_{kind}", fastest)
     seconds = _settles(ControlEnv(model, task, usual), x, u)
-    if (slow := _lengthened(usual, seconds / LONGEST, longest, step)) > usual:
-        return _chosen(slow, "settles", seconds)
+    if (wanted := seconds / LONGEST) > usual * (1 + 1e-6):  # the least multiple of a sample, or number of two digits
+        unit = step or _two_digits(wanted)
+        samples = math.ceil(wanted / unit - 1e-6)
+        slow = unit * (samples if samples * unit <= longest else math.floor(longest / unit + 1e-6))
+        if slow > usual:
+            return _chosen(slow, "settles", seconds)
     if usual < PERIOD - step:
         return _chosen(usual, "samples")
     alike = math.isclose(usual, PERIOD, rel_tol=1e-6)
@@ -148,15 +152,6 @@ def _settling(x: Tensor, power: Tensor, extents: Tensor, share: float, end: floa
         power, step = power @ power, 2 * step
     outside = (torch.stack(sizes) > share * sizes[0]).nonzero()
     return float(times[int(outside.amax())]) if len(outside) else 0.0
-
-
-def _lengthened(usual: float, wanted: float, longest: float, step: float) -> float:
-    """Return the least multiple of a step, or number of two digits, that is wanted in place of a usual period [s]."""
-    if not wanted > usual * (1 + 1e-6):
-        return usual
-    step = step or _two_digits(wanted)
-    samples = math.ceil(wanted / step - 1e-6)
-    return step * (samples if samples * step <= longest else math.floor(longest / step + 1e-6))
 
 
 def _two_digits(seconds: float) -> float:

@@ -84,7 +84,12 @@ def run(
                 recorder.begin()
             else:
                 _restore(kept, state, checkpoints.folder)
-                _resume(folder, origin.get("commit"))
+                for name in ("error.txt", "metrics.json"):  # of a run that was ended early, which now goes on
+                    (folder / name).unlink(missing_ok=True)
+                file, commit = folder / "origin.json", origin.get("commit")
+                begun = read_json(file) if file.is_file() else {}
+                if commit != begun.get("commit"):  # other code goes on than began it
+                    write_json(file, {**begun, "resumed_at_commit": commit})
             with Progress():
                 if not finish:
                     recorder.progress(place.episodes)
@@ -153,16 +158,6 @@ def _restore(kept: Mapping[str, Any], state: Mapping[str, Any], folder: Path) ->
         raise ValueError(
             f"{folder} does not fit the config.yaml beside it ({why}); restore the pair, or remove it to begin anew"
         ) from error
-
-
-def _resume(folder: Path, commit: str | None) -> None:
-    """Remove what the run was ended early with, and note in `origin.json` if other code goes on than began it."""
-    for name in ("error.txt", "metrics.json"):  # of a run that was ended early, which now goes on
-        (folder / name).unlink(missing_ok=True)
-    file = folder / "origin.json"
-    begun = read_json(file) if file.is_file() else {}
-    if commit != begun.get("commit"):
-        write_json(file, {**begun, "resumed_at_commit": commit})
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -76,8 +76,15 @@ class Forecast:
             held, tracked = judge_control(flown, self.within, "forecast.tracked", seconds=self.seconds)
             findings.insert(0, tracked)
             stays = len(flown) == n and all(each["swings"] for each in tracked.values["away"].values())
-            if held is False and stays and not self.doubts:
-                findings.append(self._advice(tracked.values["outputs"]))
+            if held is False and stays and not self.doubts:  # something may help
+                errors = tracked.values["outputs"].values()
+                least, most = (max((each[key] for each in errors), default=0.0) for key in ("least", "most"))
+                if self.no_equilibrium:
+                    findings.append(wrong("forecast.no_equilibrium", targets=self.no_equilibrium))
+                elif not self.in_sample and least <= self.within < most:
+                    findings.append(weak("forecast.models_differ"))
+                else:
+                    findings.append(weak("forecast.longer_plan"))
         if len(flown) < n:
             findings.append(wrong("forecast.runs_away", models=n - len(flown), of=n))
         return tuple(gravest_first(findings))
@@ -92,15 +99,6 @@ class Forecast:
         return (
             f"PREDICTED {place}: {'CONTROLLED' if self.controlled else lacking}: {'; '.join(map(str, self.findings))}"
         )
-
-    def _advice(self, outputs: Mapping[str, Mapping[str, float]]) -> Finding:
-        """Return what may help where nothing runs away."""
-        if self.no_equilibrium:
-            return wrong("forecast.no_equilibrium", targets=self.no_equilibrium)
-        least, most = (max((errors[key] for errors in outputs.values()), default=0.0) for key in ("least", "most"))
-        if not self.in_sample and least <= self.within < most:
-            return weak("forecast.models_differ")
-        return weak("forecast.longer_plan")
 
     def record(self) -> dict[str, Any]:
         """Return what `metrics.json` holds of it."""

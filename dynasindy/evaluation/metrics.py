@@ -79,9 +79,14 @@ def tracking_metrics(
     size = target[..., -1:, :] - before[..., :1, :]
     step = (size.abs() >= smallest) & (target == target[..., -1:, :]).all(-2, keepdim=True)
     progress = (before - before[..., :1, :]) / torch.where(step, size, 1.0)  # share of the step, 1 on the reference
+    outside = (progress - 1.0).abs() > SETTLING_BAND
+    # Index of the first sample that is inside together with all that follow it.
+    index = torch.where(outside, torch.arange(1, len(t) + 1, device=t.device).unsqueeze(-1), 0).amax(-2)
+    never = outside[..., _steady(t), :].any(-2)
+    settling = torch.where(never, torch.inf, (t - t[0])[index.clamp_max(len(t) - 1)])
     start, end = (_first_crossing(t, progress, share) for share in RISE)
     rise = torch.where(end.isinf(), end, end - start)  # inf - inf would be NaN, which is reserved for "not a step"
-    of_steps = (100.0 * (progress.amax(-2) - 1.0).clamp_min(0.0), rise, _settling_time(t, progress))
+    of_steps = (100.0 * (progress.amax(-2) - 1.0).clamp_min(0.0), rise, settling)
     return {
         "rmse": error.square().mean(-2).sqrt(),
         "mean_abs_error": error.mean(-2),
@@ -90,15 +95,6 @@ def tracking_metrics(
         "control_effort": u.square().mean(-2),
         "control_variation": u.diff(dim=-2).abs().mean(-2) / dt,
     }
-
-
-def _settling_time(time: Tensor, progress: Tensor) -> Tensor:
-    """Return when the error is in the settling band for good [s], `(*batch, n_r)`; inf if steady states leave it."""
-    outside = (progress - 1.0).abs() > SETTLING_BAND
-    # Index of the first sample that is inside together with all that follow it.
-    index = torch.where(outside, torch.arange(1, len(time) + 1, device=time.device).unsqueeze(-1), 0).amax(-2)
-    never = outside[..., _steady(time), :].any(-2)
-    return torch.where(never, torch.inf, (time - time[0])[index.clamp_max(len(time) - 1)])
 
 
 def _steady(time: Tensor) -> Tensor:

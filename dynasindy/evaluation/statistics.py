@@ -74,9 +74,12 @@ def sweep_table(folder: Path) -> str:
             cost, found, units = run["cost"], run["evaluation"], [*run.get("units", {"": "rad"}).values()]
             errors, rmse = ([found[k] for k in found if k.startswith(f"{m}/")] for m in ("steady_state_error", "rmse"))
             axes.append(len(rmse))
+            # What the folders that lead to the run are named after, all but its seed and number, says its setting.
+            places = (re.sub(r"^\d+(_|$)", "", part) for part in file.parent.relative_to(folder).parts)
+            words = [word for part in places for word in overrides(part) if not re.match(r"seed[=_]", word)]
             runs.append(
                 {
-                    "setting": f"`{_setting(file.parent.relative_to(folder)) or 'default'}`",
+                    "setting": f"`{' '.join(words) or 'default'}`",
                     "seed": run.get("seed") or 0,
                     "unit": f" [{' / '.join(units if len(set(units)) > 1 else units[:1])}]",
                     "real steps (plant time)": f"{cost['real_steps']} ({format_duration(cost['plant_seconds'])})",
@@ -110,12 +113,6 @@ def _figure(runs: pd.DataFrame, name: str, with_unit: bool) -> str:
         return _finite(values)
     cells = " / ".join(_finite(axis) for axis in zip(*values, strict=True))
     return cells + (runs["unit"].iloc[0] if with_unit else "")
-
-
-def _setting(place: Path) -> str:
-    """Return the setting of a run in words, all but its seed, from the folders that lead to it in that of its sweep."""
-    words = [word for part in place.parts for word in overrides(re.sub(r"^\d+(_|$)", "", part))]
-    return " ".join(word for word in words if not re.match(r"seed[=_]", word))
 
 
 def overrides(name: str) -> list[str]:

@@ -158,16 +158,12 @@ def _write(
         system = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
         machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(), platform.machine().lower())
         place = f"{system.replace('dows', '')}64" if version == 2 else f"{machine}-{system}"
-        files[f"binaries/{place}/{name}{SUFFIX}"] = _compiled(sources)
-    with replace_file(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        with tempfile.TemporaryDirectory() as folder:
+            for file, text in sources.items():
+                (Path(folder) / file).write_text(text, encoding="utf-8")
+            library = compile_library([Path(folder) / file for file in words["files"]], Path(folder) / f"unit{SUFFIX}")
+            files[f"binaries/{place}/{name}{SUFFIX}"] = library.read_bytes()
+    with replace_file(path) as target, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
         for member, content in files.items():
             archive.writestr(zipfile.ZipInfo(member, (2000, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
     return built
-
-
-def _compiled(sources: Mapping[str, str]) -> bytes:
-    with tempfile.TemporaryDirectory() as place:
-        for name, text in sources.items():
-            (Path(place) / name).write_text(text, encoding="utf-8")
-        units = [Path(place) / name for name in sources if name.endswith(".c")]
-        return compile_library(units, Path(place) / f"unit{SUFFIX}").read_bytes()

@@ -76,7 +76,14 @@ def require_plant(system: System, begins: Callable[[torch.Size], Tensor], bounds
                 )
         x, u = _places(system, begins(torch.Size((1,)))[0], bounds)
         dx = rates(system, x, u)
-        _require_rows_apart(system, dx, rates(system, x.flip(0), u.flip(0)).flip(0))
+        turned = rates(system, x.flip(0), u.flip(0)).flip(0)
+    apart, largest = (of.nan_to_num(0.0, 0.0, 0.0).abs().amax(0) for of in (dx - turned, dx))
+    if not (torch.equal(dx.isfinite(), turned.isfinite()) and bool((apart <= APART * largest).all())):
+        raise ValueError(
+            f"system {type(system).__name__} gives a row of a batch other rates of change when the rows change places; "
+            "the rates of a row may depend on that row alone: write x[..., 0] and u[..., 0] for the first state and "
+            "input, and draw nothing at random"
+        )
     finite_rows = dx.isfinite().all(-1)
     if bool(finite_rows.all()):
         return
@@ -101,19 +108,6 @@ def _where(system: System, x: Tensor, u: Tensor, dx: Tensor) -> str:
         f"system {type(system).__name__} gives rates of change that are not finite, of {which}, where "
         f"{', '.join(place)}, and at {int(bad.any(-1).sum())} of {len(bad)} places that were tried within plant.bounds "
         "and the ranges of the states"
-    )
-
-
-def _require_rows_apart(system: System, dx: Tensor, turned: Tensor) -> None:
-    """Refuse rates `(N, n_x)` that are others where the batch was turned round: a row depends on another one."""
-    if torch.equal(dx.isfinite(), turned.isfinite()):
-        apart = (dx - turned).nan_to_num(0.0, 0.0, 0.0).abs().amax(0)
-        if bool((apart <= APART * dx.nan_to_num(0.0, 0.0, 0.0).abs().amax(0)).all()):
-            return
-    raise ValueError(
-        f"system {type(system).__name__} gives a row of a batch other rates of change when the rows change places; the "
-        "rates of a row may depend on that row alone: write x[..., 0] and u[..., 0] for the first state and input, "
-        "and draw nothing at random"
     )
 
 
