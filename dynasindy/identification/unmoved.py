@@ -21,8 +21,8 @@ from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
-PAST, ROWS = 8, 4000
-"""Past samples that a linear model may read here, and rows that it is fitted to at most."""
+PAST, ROWS, JUDGED = 8, 4000, 40_000
+"""Past samples that a linear model may read here, and rows that it is fitted to, and judged on, at most."""
 SLOWEST, FARTHEST, HORIZONS = 3, 1000, 5
 """How far ahead they predict [times in which the slowest state changes], [samples] at most, and over how many times."""
 BETTER = 0.95
@@ -39,9 +39,10 @@ def unmoved_states(data: Transitions, signature: Signature) -> list[str]:
         data: the recording.
         signature: its names.
     """
-    early = torch.arange(len(data)) < 3 * len(data) // 4
-    fit, kept = data.select(early), data.select(~early)
-    fit = fit.select(choose_stretches(len(fit), ROWS))
+    cut = 3 * len(data) // 4
+    parts = choose_stretches(cut, ROWS), choose_stretches(len(data) - cut, JUDGED)
+    none = [torch.zeros_like(each) for each in parts]
+    fit, kept = data.select(torch.cat([parts[0], none[1]])), data.select(torch.cat([none[0], parts[1]]))
     reach = start_rows(kept, PAST)[1]
     last = min(reach // 5, max(round(SLOWEST * characteristic(fit, signature) / data.dt), 2), FARTHEST)
     if data.x.shape[1] < 2 or last < 2:
