@@ -50,3 +50,22 @@ def test_a_place_stays_that_its_speed_alone_tells_of(tmp_path, swing):
     t, u, _, _, rate = swing
     place = DT * np.cumsum(rate) + np.random.default_rng(7).normal(0, 1e-3, ROWS)
     assert states_of(tmp_path, time=t, place=place, rate=rate, u=u) == (("place", "rate"), [])
+
+
+def test_what_a_product_moves_or_tells_of_stays(tmp_path):
+    """A place goes by speed times a sine of the heading, a speed by the voltage of a battery times the input."""
+    random = np.random.default_rng(0)
+    speed, turn = np.repeat(random.uniform(0, 1, 67), 30)[:2000], np.repeat(random.uniform(-1, 1, 100), 20)
+    voltage, x = 12 + 3 * np.sin(0.18 * 0.05 * np.arange(2000)), [np.zeros(4)]
+    for k in range(1999):
+        field = lambda t, x, k=k: (  # noqa: E731
+            *(speed[k] * np.cos(x[2]), speed[k] * np.sin(x[2]), 2 * turn[k]),
+            voltage[k] / 12 * turn[k] - x[3],
+        )
+        x.append(solve_ivp(field, (0, 0.05), x[-1], rtol=1e-6).y[:, -1])
+    x, voltage = (value + random.normal(0, 3e-3, value.shape) for value in (np.array(x), voltage))
+    names = ("east", "north", "heading")
+    log = {"time": 0.05 * np.arange(2000), **dict(zip(names, x.T[:3], strict=True)), "u_speed": speed, "u_turn": turn}
+    assert states_of(tmp_path, **log) == (names, [])
+    log = {"time": log["time"], "w": x[:, 3], "voltage": voltage, "u": turn}
+    assert states_of(tmp_path, **log) == (("w", "voltage"), [])
