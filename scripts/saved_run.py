@@ -71,8 +71,9 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
     before = result(folder, recipe.train.episodes) is not None
     kept = cfg.checkpoint.every, shlex.join([*program("train").split(), *plugins_of(cfg)])
     metrics = run(recipe, evaluating, folder, config, command_and_commit(job), *kept, cfg.finish)
-    if before and swept:
-        print(f"finished before: {folder}")
+    if swept and (before or "level" in cfg):  # of an ablation its table tells
+        seconds = metrics["cost"]["wall_seconds"]
+        print(f"finished before: {folder}" if before else f"finished: {folder}, {seconds:.0f} s")
         return True
     from dynasindy.viz.run import draw_run  # Matplotlib, when there is something to draw
 

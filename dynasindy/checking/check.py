@@ -14,6 +14,7 @@ from torch import Tensor
 from dynasindy.checking.closed_loop import ClosedLoop, LoopSimulation
 from dynasindy.checking.linear_loop import Array, Margins, RestingLoop, find_rest, guess_rest, loop_margins
 from dynasindy.progress import reporting_as, track
+from dynasindy.safe_io import checked_class
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import ranges
 from dynasindy.systems.ranges import Ends
@@ -34,6 +35,7 @@ GROWTH = 1.1
 """Ratio of the swings in the last part of such a flight to those in the part before, from which on they grow."""
 
 
+@checked_class
 @pydantic.dataclasses.dataclass(frozen=True)
 class Settings:
     """What is tried.
