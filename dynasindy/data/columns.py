@@ -309,10 +309,7 @@ def _dependent(
     if not names or x.shape[1] < 100:
         return {}
     count, width, own = len(names), len(x), len(x) - len(inputs)
-    moves = (before != x).mean(1) > 0.9  # another episode may begin now and then
-    both = ((before, x), (x, before))
-    shifted = [k for k in range(count) if moves[k] and any(((a[:k] == b[k]).mean(1) > 0.9).any() for a, b in both)]
-
+    shifted, noisy = _shifted(before[:count], x[:count]), _noisy(before, x, count, own)
     pairs = np.array([*combinations_with_replacement(range(width * (width <= WIDEST)), 2)], int).reshape(-1, 2).T
     low, high = np.append(np.tile(np.arange(width), (2, 1)), pairs, 1)  # columns of each term
     plain, driven, referred = np.arange(len(high)) < width, high >= own, high >= count
@@ -326,7 +323,7 @@ def _dependent(
     def products(values: Array) -> Array:
         return np.concatenate([values, values[pairs[0]] * values[pairs[1]]])
 
-    def few_terms(k: int, y: Array, terms: Array, free: NDArray[np.bool_], half: float, exact: float = EXACT) -> Array:
+    def few_terms(k: int, y: Array, terms: Array, free: NDArray[np.bool_], digit: float, exact: float = EXACT) -> Array:
         """Return factors of the fewest terms whose sum a column is, but for rounding; zeros where it is none."""
         free = free & ~np.isin(low, [k, *found]) & ~np.isin(high, [k, *found])
         norms, few = np.where(free, np.linalg.norm(terms, axis=1) + 1e-300, np.inf), list[int]()
@@ -335,7 +332,7 @@ def _dependent(
             few.append(int((np.abs(terms @ rest) / norms).argmax()))
             factors[few] = np.linalg.lstsq(terms[few].T, y, rcond=None)[0]
             rest = y - factors[few] @ terms[few]
-            if rest.std() <= min(max(math.hypot(half, *factors[few] * halves[few]), exact * wide), 1e-3 * wide):
+            if rest.std() <= min(max(math.hypot(digit, *factors[few] * halves[few]), exact * wide), 1e-3 * wide):
                 return factors
         return 0 * factors
 
@@ -354,14 +351,25 @@ def _dependent(
             if few_terms(k, level(x[k] - before[k]), table, ~driven, 2 * half[k])[referred].any():
                 found.add(k)
 
-    then, now = np.clip([before, x], *np.quantile(x, [0.05, 0.95], axis=1)[..., None])  # without spikes
-    table, missed = np.concatenate([np.ones_like(x[:1]), then, now[own:]]), np.zeros(count)
-    if x.shape[1] > 20 * len(table):
-        rest = now[:count] - np.linalg.lstsq(table.T, now[:count].T, rcond=None)[0].T @ table
-        missed = rest.var(1) / (now[:count].var(1) + 1e-300)
-    noisy = np.flatnonzero((missed > NOISE) & (missed.min() < 0.1)).tolist()
     out = {"shifted": shifted, "derived": sorted(found - {*shifted}), "noise": noisy}
     return {reason: [names[k] for k in places] for reason, places in out.items()}
+
+
+def _shifted(before: Array, x: Array) -> list[int]:
+    """Return which of columns `(n, rows)` hold one above them a row earlier or later; `before` is a row earlier."""
+    moves, both = (before != x).mean(1) > 0.9, ((before, x), (x, before))  # another episode may begin now and then
+    return [k for k in range(len(x)) if moves[k] and any(((a[:k] == b[k]).mean(1) > 0.9).any() for a, b in both)]
+
+
+def _noisy(before: Array, x: Array, count: int, own: int) -> list[int]:
+    """Return which of the first `count` columns no row before foretells, beside smooth ones; inputs begin at `own`."""
+    then, now = np.clip([before, x], *np.quantile(x, [0.05, 0.95], axis=1)[..., None])  # without spikes
+    table = np.concatenate([np.ones_like(x[:1]), then, now[own:]])
+    if x.shape[1] <= 20 * len(table):
+        return []
+    rest = now[:count] - np.linalg.lstsq(table.T, now[:count].T, rcond=None)[0].T @ table
+    missed = rest.var(1) / (now[:count].var(1) + 1e-300)
+    return [int(k) for k in np.flatnonzero((missed > NOISE) & (missed.min() < 0.1))]
 
 
 def _last_digit(column: Array) -> float:
