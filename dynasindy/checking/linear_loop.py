@@ -61,8 +61,13 @@ class Linear(NamedTuple):
 
     @property
     def radius(self) -> Array:
-        """Spectral radius of each loop, `(rows,)`; below 1 + `NEUTRAL` it is stable."""
+        """Spectral radius of each loop, `(rows,)`."""
         return np.abs(np.linalg.eigvals(self.a)).max(-1)
+
+    @property
+    def stable(self) -> Tensor:
+        """Whether no mode of each loop grows, bool `(rows,)`."""
+        return torch.from_numpy(self.radius < 1 + NEUTRAL)
 
     def decaying(self) -> Linear:
         """Return one loop without its neutral modes, as those of an integral that is held."""
@@ -120,7 +125,7 @@ class RestingLoop(NamedTuple):
     @property
     def stable(self) -> Tensor:
         """Whether each loop comes to rest and is stable there, bool `(rows,)`."""
-        return self.still & torch.from_numpy(self.linear.radius < 1 + NEUTRAL)
+        return self.still & self.linear.stable
 
     def select(self, rows: Tensor) -> RestingLoop:
         """Return some rows, by their places or bool `(rows,)`."""
@@ -199,7 +204,7 @@ def find_rest(loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, sec
     covariance = loop.steady_covariance(z) if start is None else start.covariance
     found, still = _newton(loop, z, covariance, r)
     linear, _, u = _linearise(loop, found, covariance, r)
-    stable = torch.from_numpy(linear.finite().radius < 1 + NEUTRAL)
+    stable = linear.finite().stable
     lost = (~(still & stable)).nonzero().flatten()  # with dry friction there are rests that no flight reaches
     ran = torch.zeros(len(r), loop.task.n_r, dtype=torch.float64)
     if len(lost):
