@@ -242,9 +242,8 @@ class Recorder(Callback):
         data = delay_inputs(seen, getattr(model, "delay", 0.0))
         with torch.no_grad():
             missed = moved(model, data.x, data.u, data.dt, self.plant.substeps, data.u_end) - data.x_next
-        shares = missed.norm(dim=0) / (data.x_next - data.x).norm(dim=0).clamp_min(1e-300)
-        names = zip(self.plant.system.signature.state_names, shares.tolist(), strict=True)
-        large = {name: share for name, share in names if not share <= UNEXPLAINED}
+        shares = (missed.norm(dim=0) / (data.x_next - data.x).norm(dim=0).clamp_min(1e-300)).tolist()
+        large = {n: s for n, s in zip(model.signature.state_names, shares, strict=True) if not s <= UNEXPLAINED}
         return [weak("model.unexplained", shares=large)] if large else []
 
     def state_dict(self) -> dict[str, Any]:

@@ -84,8 +84,8 @@ BEHIND = 1.0
 """Weight of being behind the best simple model where that is worst, beside the mean."""
 BEHIND_BY = 1.03
 """Factor on the error of the best simple model beyond which a finding says that it predicts better."""
-PRICES, BEYOND_DOUBT = (1.0, 2.0), 10.0
-"""Factors on what a function must be worth; standard errors beyond which it is worth any of them."""
+PRICES, SURE = (1.0, 2.0), 0.1
+"""Factors on what a function must be worth; standard error below which it is worth any of them [coefficients]."""
 HOPELESS = 1.0
 """Score behind the best one beyond which nothing dearer is tried of a candidate."""
 LEADERS = 3
@@ -612,7 +612,9 @@ class _Search:
                 break
             same = found.equations == last.equations
             last, best = found, found if best is None else _better(best, found)
-            if same or _is_clear(found.model):  # the higher price would change nothing
+            known = found.model.covariance
+            sure = known is not None and bool((known.shares(found.model.coefficients) < SURE).all())
+            if same or sure:  # the higher price would change nothing
                 break
         return best
 
@@ -740,14 +742,6 @@ def _warm_started(model: SindyModel) -> SindyModel:
     other = copy.deepcopy(model)
     other.initial, other.initial_delay = model.coefficients.clone(), model.delay
     return other
-
-
-def _is_clear(model: SindyModel) -> bool:
-    """Tell whether no function of a model could go at any price."""
-    if model.covariance is None:
-        return False
-    rows, states, _ = model.covariance
-    return bool((model.coefficients[rows, states].abs() > BEYOND_DOUBT * model.covariance.errors).all())
 
 
 def _is_linear(feature: Feature) -> bool:

@@ -23,8 +23,7 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
 PAST, FEW, ROWS, JUDGED = 8, 3, 4000, 40_000
-"""Past samples that a linear model may read here, also with products, and rows for its fit and its judgement, at most.
-"""
+"""Past samples that a linear model may read, also with products, and rows for its fit and its judgement, at most."""
 SLOWEST, FARTHEST, HORIZONS = 3, 1000, 5
 """How far ahead they predict [times in which the slowest state changes], [samples] at most, and over how many times."""
 WIDEST = 8
@@ -34,7 +33,7 @@ BETTER = 0.95
 
 
 def unmoved_states(data: Transitions, signature: Signature) -> list[str]:
-    """Return states that are foretold best by their own past alone, and that foretell no other one.
+    """Return states that are foretold best by their own past alone, and that foretell no other one (Granger 1969).
 
     Those are a temperature of the computer or its free memory, say, beside the states of a plant. Linear models of
     past samples with and without the others are fitted to the first three quarters and compared on the last one, and

@@ -38,8 +38,8 @@ TIMES = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768
 """Times that regressions try [samples], as far as `SLOWEST` allows: a store may be far slower than what fills it."""
 SLOWEST = 0.25
 """Longest time that is tried [lengths of the longest stretch]."""
-CLEAR = 2.0
-"""Standard errors beyond which a coefficient is no chance."""
+CLEAR = 0.5
+"""Standard error below which a coefficient is no chance [coefficients]."""
 PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Parts of a model's delay that are tried."""
 
@@ -176,16 +176,14 @@ def _solved(wide: SindyModel, rows: Rows, time: float, lags: int) -> Tensor:
 
 
 def has_clear_lags(model: SindyModel) -> bool:
-    """Tell whether each state that follows a signal acts on another one, beyond `CLEAR` standard errors."""
+    """Tell whether each state that follows a signal acts on another one, by a coefficient that is no chance."""
     if model.covariance is None:
         return True
     rows, states, _ = model.covariance
-    clear = model.coefficients[rows, states].abs() > CLEAR * model.covariance.errors
-    for name in model.followed:
-        reads = torch.tensor([name in feature.variables for feature in model.library.features])
-        if not bool((clear & reads[rows] & (states != model.signature.state_index(name))).any()):
-            return False
-    return True
+    clear = model.covariance.shares(model.coefficients) < CLEAR
+    others = {name: states != model.signature.state_index(name) for name in model.followed}
+    reads = {name: torch.tensor([name in each.variables for each in model.library.features]) for name in others}
+    return all(bool((clear & reads[name][rows] & others[name]).any()) for name in others)
 
 
 def acts_at_once(model: SindyModel, signal: str) -> bool:
