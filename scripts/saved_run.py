@@ -85,7 +85,7 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
         flown = run_steps(folder, "evaluate", plugins=plugins_of(cfg))
         say(next_steps(*flown, *(run_steps(folder, "check", "export") if written else ())))
     elif not swept:
-        lacking, words = "model.unexplained" in str(metrics["findings"]), job.overrides.task
+        lacking, words = "model.unexplained" in [f["code"] for f in metrics["findings"]], job.overrides.task
         say(improvements(folder, words, recipe.train.episodes, written, metrics["imagined_error"], lacking))
     good = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve
     return good and (controlled or not cfg.evaluation.get("must_control"))
