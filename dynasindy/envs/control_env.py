@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-import numpy as np
 import torch
 from pydantic import Field
 from tensordict import TensorDict, TensorDictBase
@@ -216,8 +215,7 @@ class ControlEnv(EnvBase):
     ) -> TensorDictBase:
         """Roll a policy out as `EnvBase.rollout` does, with its arguments, several times as fast.
 
-        The periods of a batch lie apart in memory: to `view` them, pass `return_contiguous=True`, which goes TorchRL's
-        way, as any other of its options does.
+        Other options of TorchRL's go its own way.
 
         Returns:
             Control periods `(*batch, T)`.
@@ -232,21 +230,23 @@ class ControlEnv(EnvBase):
             policy = self.rand_action
         else:
             policy = _make_compatible_policy(policy, self.observation_spec, env=self, fast_wrap=True)
-        most = min(max_steps, self.task.max_steps) if break_when_any_done else max_steps
-        begun, ended = _Periods(most), _Periods(most)
+        begun, ended = list[dict[str, Any]](), list[dict[str, Any]]()
         while True:
             acted = policy(now)
             if acted is not now:
                 now.update(acted)
             row = dict(now.items())
             after = dict(self._step(now).items())
-            ended.add({**row.pop("next", {}), **after})
-            begun.add(row)
+            ended.append({**row.pop("next", {}), **after})
+            begun.append(row)
             over = bool(after["done"].any())
-            if begun.count == max_steps or (over and break_when_any_done):
-                shape, names = (*now.batch_size, begun.count), [*[None] * now.batch_dims, "time"]
-                following = TensorDict(ended.stack(now.batch_dims), shape)
-                return TensorDict({**begun.stack(now.batch_dims), "next": following}, shape, names=names)
+            if len(begun) == max_steps or (over and break_when_any_done):
+                shape, names = (*now.batch_size, len(begun)), [*[None] * now.batch_dims, "time"]
+                first, last = (
+                    {key: torch.stack([period[key] for period in periods], now.batch_dims) for key in periods[0]}
+                    for periods in (begun, ended)
+                )
+                return TensorDict({**first, "next": TensorDict(last, shape)}, shape, names=names)
             going_on = {key: value for key, value in after.items() if key != "reward"}
             now = TensorDict({**row, **going_on}, now.batch_size, device=self.device)
             if over:
@@ -383,34 +383,3 @@ class ControlEnv(EnvBase):
         self.reward_spec = _unbounded(1, dtype=torch.float32)
         done = {key: Binary(n=1, shape=(*batch, 1), dtype=torch.bool) for key in ("done", "terminated", "truncated")}
         self.done_spec = Composite(done, shape=batch)
-
-
-class _Periods:
-    """What control periods have, `most` at most, one behind another in memory, as a copy is fastest so."""
-
-    def __init__(self, most: int) -> None:
-        self.most, self.count, self.columns = most, 0, dict[str, Any]()
-
-    def add(self, values: dict[str, Any]) -> None:
-        """Add a period; numbers are copied at once, so that the memory of the next ones is in the cache already."""
-        if not self.count:
-            self.columns = {key: self._column(value) for key, value in values.items()}
-        for key, column in self.columns.items():
-            if isinstance(column, list):
-                column.append(values[key])
-            else:
-                column[self.count] = values[key]
-        self.count += 1
-
-    def _column(self, first: Any) -> Any:
-        if not isinstance(first, Tensor) or not first.is_cpu or first.requires_grad:
-            return []
-        # NumPy asks for large pages: small ones cost as much as physics.
-        return torch.from_numpy(np.empty((self.most, *first.shape), first.numpy().dtype))
-
-    def stack(self, place: int) -> dict[str, Any]:
-        """Return them with a dimension for time behind the `place` of the batch."""
-        return {
-            key: torch.stack(rows, place) if isinstance(rows, list) else rows[: self.count].movedim(0, place)
-            for key, rows in self.columns.items()
-        }
