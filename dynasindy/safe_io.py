@@ -147,34 +147,24 @@ def read_json(path: Path) -> dict[str, Any]:
         return record
 
 
-def read_cells(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Return the headings of a CSV file and its rows, which are as long; lines without a cell are left out.
-
-    Raises:
-        FileNotFoundError: It does not exist.
-        DamagedFileError: It cannot be read, has no headings or one twice, or a row is shorter or longer.
-    """
-    text = read_text(path)
-    with reading(path):
-        header, *rows = [row for row in csv.reader(StringIO(text, newline=""), strict=True) if row] or [[]]
-        if not header or len(set(header)) < len(header):
-            raise _damaged(path, "its first line is no line of different headings")
-        wrong = next((place for place, row in enumerate(rows) if len(row) != len(header)), None)
-        if wrong is not None:
-            raise _damaged(path, f"row {wrong + 1} has {len(rows[wrong])} cells under {len(header)} headings")
-        return header, rows
-
-
 def read_rows(path: Path) -> list[Row]:
     """Return the rows of a CSV file by heading, each cell as text; none if there is no file.
 
     Raises:
-        DamagedFileError: It is no table.
+        DamagedFileError: It cannot be read, has no headings or one twice, or a row is shorter or longer.
     """
     if not path.exists():
         return []
-    header, rows = read_cells(path)
-    return [dict(zip(header, row)) for row in rows]
+    text = read_text(path)
+    with reading(path):
+        table = csv.DictReader(StringIO(text, newline=""), strict=True)
+        rows, header = list(table), table.fieldnames or []
+        if not header or len(set(header)) < len(header):
+            raise _damaged(path, "its first line is no line of different headings")
+        wrong = next((place for place, row in enumerate(rows, 1) if None in row or None in row.values()), None)
+        if wrong is not None:
+            raise _damaged(path, f"row {wrong} has more or fewer cells than the {len(header)} headings")
+        return rows
 
 
 @contextmanager

@@ -14,7 +14,6 @@ from dynasindy.safe_io import (
     escape_markdown,
     file_name,
     output_folder,
-    read_cells,
     read_json,
     read_rows,
     read_text,
@@ -31,7 +30,7 @@ def test_text_records_and_tables_are_read_as_they_stand(tmp_path):
     (tmp_path / "c").write_text('p,q\n1,"a,\n2"\n\n3,\n')
     assert read_text(tmp_path / "a") == "ä\n"
     assert read_json(tmp_path / "b") == {"x": [1, None]}
-    assert read_cells(tmp_path / "c") == (["p", "q"], [["1", "a,\n2"], ["3", ""]])
+    assert read_rows(tmp_path / "c") == [{"p": "1", "q": "a,\n2"}, {"p": "3", "q": ""}]
 
 
 @pytest.mark.parametrize(
@@ -48,7 +47,7 @@ def test_what_is_no_record_is_damaged(tmp_path, content):
 def test_what_is_no_table_is_damaged(tmp_path, content):
     (tmp_path / "f.csv").write_bytes(content)
     with pytest.raises(DamagedFileError, match=r"f\.csv .*damaged"):
-        read_cells(tmp_path / "f.csv")
+        read_rows(tmp_path / "f.csv")
 
 
 def test_what_is_no_file_is_not_waited_for(tmp_path):

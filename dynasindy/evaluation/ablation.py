@@ -20,7 +20,7 @@ from pydantic.dataclasses import dataclass
 
 from dynasindy.evaluation.statistics import OVER_SEEDS, markdown, over_seeds, overrides
 from dynasindy.limits import Positive
-from dynasindy.safe_io import DamagedFileError, checked_class, read_cells, read_json, reading, write_text
+from dynasindy.safe_io import DamagedFileError, checked_class, read_json, read_rows, reading, write_text
 
 KEY = ["system", "experiment", "setting"]
 TEXT = {*KEY, "commit"}
@@ -113,9 +113,8 @@ def read_ablation(path: Path, key: Sequence[str] = KEY) -> pd.DataFrame:
     """Read a table that has the columns of a key, numbers as numbers; no file is an empty table."""
     if not path.exists():
         return pd.DataFrame(columns=list(key))
-    header, cells = read_cells(path)
+    table = pd.DataFrame(read_rows(path))
     with reading(path):
-        table = pd.DataFrame(cells, columns=header)
         for column in (*key, *table):
             table[column] = table[column] if column in TEXT else table[column].replace("", "nan").astype(float)
         return table
