@@ -9,15 +9,13 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib import import_module
-from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDict
 from torch import Tensor
-from torchrl.record import CSVLogger, TensorboardLogger
-from torchrl.record.loggers import Logger
+from torchrl.record import TensorboardLogger
 
 from dynasindy.control import Controller, save
 from dynasindy.control.controller import ControlSetup
@@ -76,9 +74,8 @@ class Evaluating:
 class Recorder(Callback):
     """Write the run folder and evaluate the policy now and then.
 
-    `progress.csv` holds a row per real episode, `scalars/` the same by TorchRL's `CSVLogger`, `gate.csv` the
-    gate's decisions and what became of each refit, `data/` what the figures are drawn from, `tensorboard/` the scalars
-    once more, if that is asked.
+    `progress.csv` holds a row per real episode, `gate.csv` the gate's decisions and what became of each refit, `data/`
+    what the figures are drawn from, `tensorboard/` the rows of `progress.csv` once more, if that is asked.
 
     Attributes:
         save: Called where a run can be left and resumed; None for no checkpoints.
@@ -110,8 +107,8 @@ class Recorder(Callback):
         self.latest: Summary = {}
 
     def begin(self) -> None:
-        """Open the logs and evaluate the untrained policy."""
-        self._open_logs()
+        """Evaluate the untrained policy."""
+        self._open_log()
         self.untrained = self.latest = summarise(self.evaluate("untrained policy, for comparison"))
 
     def evaluate(self, phase: str = "", seconds: float | None = None) -> Evaluation:
@@ -252,20 +249,12 @@ class Recorder(Callback):
         return {**logged, "seconds": self._seconds()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what `state_dict` returned, and bring the logs in the folder back to that state.
-
-        Raises:
-            ValueError: A logged figure has a name whose file would lie outside the folder.
-        """
-        for name in (name for row in state["rows"] for name in row):
-            if Path(name).is_absolute() or ".." in Path(name).parts:  # `scalars/` has a file for each
-                raise ValueError(f"{name!r} is no name of a logged figure")
+        """Restore what `state_dict` returned, and bring the logs in the folder back to that state."""
         for name in self._logged:
             setattr(self, name, state[name])
         self.start, self.seconds_before = time.perf_counter(), state["seconds"]
-        for name in ("scalars", "tensorboard"):
-            shutil.rmtree(self.folder / name, ignore_errors=True)
-        self._open_logs()
+        shutil.rmtree(self.folder / "tensorboard", ignore_errors=True)
+        self._open_log()
         for row in self.rows:
             self._log_scalars(row)
         self.write_tables()
@@ -284,17 +273,17 @@ class Recorder(Callback):
             "wall_seconds": self._seconds(),
         }
 
-    def _open_logs(self) -> None:
-        self.loggers: list[Logger] = [CSVLogger(exp_name="scalars", log_dir=str(self.folder))]
+    def _open_log(self) -> None:
         if self.evaluating.tensorboard:
-            self.loggers.append(TensorboardLogger(exp_name="tensorboard", log_dir=str(self.folder)))
+            self.logger = TensorboardLogger(exp_name="tensorboard", log_dir=str(self.folder))
 
     def _log_scalars(self, row: dict[str, float | None]) -> None:
-        for logger, (key, value) in product(self.loggers, row.items()):
+        if not self.evaluating.tensorboard:
+            return
+        for key, value in row.items():
             if value is not None and key != "episode":
-                logger.log_scalar(key, value, step=int(row["episode"] or 0))
-        if self.evaluating.tensorboard:
-            self.loggers[-1].experiment.flush()  # shown at once, and kept if the run is killed
+                self.logger.log_scalar(key, value, step=int(row["episode"] or 0))
+        self.logger.experiment.flush()  # shown at once, and kept if the run is killed
 
     def _log_decision(self, episode: Episode) -> None:
         """Append to `gate.csv`: what the gate saw and decided, and what became of the refit."""

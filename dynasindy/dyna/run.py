@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -130,7 +129,6 @@ def _clear(folder: Path) -> None:
         (folder / name).unlink(missing_ok=True)
     for place in (folder, folder / "data"):
         remove_leftovers(place)
-    shutil.rmtree(folder / "scalars", ignore_errors=True)
 
 
 def _what_is_kept(checkpoints: Checkpoints, again: str) -> str:

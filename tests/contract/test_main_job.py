@@ -58,7 +58,7 @@ def test_the_smoke_run_leaves_a_complete_folder_and_is_judged(command, tmp_path)
     folder = tmp_path / "run"
     files = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
     assert {"config.yaml", "progress.csv", "metrics.json", "policy.pt", "model.json", "identification.txt"} <= files
-    assert {f"data/{name}.csv" for name in DATA} | {"controller.json", "scalars/scalars/return.csv"} <= files
+    assert {f"data/{name}.csv" for name in DATA} | {"controller.json"} <= files
     assert {f"figures/{name}.png" for name in (*DATA, "training_data", "model_error")} <= files
     found = metrics(folder)
     assert found["cost"]["real_steps"] == 600 and found["cost"]["plant_seconds"] == pytest.approx(30.0)

@@ -90,8 +90,8 @@ def test_an_interrupted_ablation_goes_on_and_ends_with_tables_and_figures(comman
     done = command("ablation", *words, cwd=tmp_path, figures=True)
     assert done.code == 0 and other.stat().st_mtime_ns == before
     assert json.loads(interrupted.read_text())["seed"] == 1
-    with (interrupted.parent / "scalars" / "scalars" / "return.csv").open() as file:
-        assert len(file.readlines()) == 1  # the interrupted run's log did not stay
+    with (interrupted.parent / "progress.csv").open() as file:
+        assert len(file.readlines()) == 2  # the interrupted run's log did not stay
     assert rows(tmp_path) == [("direct", "1"), ("rollouts_400", "1")]
     assert (tmp_path / "results" / "average_rewards_xi_smoke.png").is_file()
     assert (tmp_path / "results" / "ablation.md").is_file()

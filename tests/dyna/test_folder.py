@@ -49,7 +49,6 @@ def test_settings_are_the_same_whatever_does_not_change_a_result(tmp_path):
 
 def test_only_what_a_run_makes_is_cleared(tmp_path):
     finished(tmp_path)
-    (tmp_path / "scalars").mkdir()
     (tmp_path / "notes.txt").write_text("mine")
     _clear(tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
