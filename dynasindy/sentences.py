@@ -284,14 +284,16 @@ def _tracked(
     targets: Mapping[str, Sequence[float]] | None = None,
 ) -> str:
     """Say how near a plant is held, and what becomes of states that are not tracked."""
-    texts = []
+    texts, moving = [], within == lost
     for name, each in outputs.items():
         both = " to ".join(dict.fromkeys(map(_percent, (each["least"], each["most"]))))  # one where they are alike
         reference = "of a turn" if each["of_turn"] else "of the target range"
+        reference = "of its reference's range" if moving else reference
         texts.append(f"{name} {both} {reference} on average, {_percent(each['worst'])} at worst")
     end = "the end" if seconds is None else f"the end of simulations of {format_duration(seconds)}"
-    limits = f"{_percent(within)} on average, {_percent(lost)} at worst"
-    parts = [f"errors at {end}: {'; '.join(texts)} (limits: {limits})"]
+    limits = f"limits: {_percent(within)} on average, {_percent(lost)} at worst"
+    limits = f"limit, as targets move: {_percent(lost)}" if moving else limits
+    parts = [f"errors at {end}: {'; '.join(texts)} ({limits})"]
     if not outputs:
         parts = ["the task names no targets, so nothing is said of control"]
         if grew is not None:

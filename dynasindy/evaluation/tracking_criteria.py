@@ -39,7 +39,8 @@ class TrackingCriteria:
     """What an evaluation shows of the plant; `dataclasses.asdict` gives what `metrics.json` holds.
 
     Attributes:
-        share: Mean absolute error at the end, of each output, in target ranges; None where it is not finite.
+        share: Mean absolute error at the end, of each output, in target ranges, or in those of what its references do
+            where all move; None where it is not finite.
         worst: The same of the worst reference.
         away: States that run away or do not come to rest though they are not tracked, with the share of runs.
         idle: Those of them that nothing depends on, as a mileage.
@@ -48,6 +49,7 @@ class TrackingCriteria:
         turned: Outputs whose targets reach over a turn or more, and whose errors are shares of one turn.
         targets: Lower and upper end of the targets of each output [its unit]; none where no task tells them.
         rates: States that are rates of those of `away`, or are in it and rates of others: they are zero at rest.
+        moving: Whether no reference rests at the end, so that outputs lag behind.
     """
 
     share: dict[str, float | None]
@@ -59,6 +61,7 @@ class TrackingCriteria:
     turned: list[str] = field(default_factory=list)
     targets: dict[str, tuple[float, float]] = field(default_factory=dict)
     rates: list[str] = field(default_factory=list)
+    moving: bool = False
 
 
 def judge_tracking(
@@ -74,6 +77,10 @@ def judge_tracking(
     """
     last = evaluation.steady_periods
     errors = evaluation.errors[:, -last:].mean(1)
+    if moving := bool(evaluation.columns) and not bool(evaluation.resting.any()):
+        ways = evaluation.references.amax(1) - evaluation.references.amin(1)
+        ways = ways / torch.tensor(evaluation.boxes or 1.0)
+        errors = errors / ways.where(ways > 0, 1.0).clamp_max(1.0)
     scale = torch.tensor(evaluation.signature.x_scale, dtype=torch.float64)
     states = evaluation.trajectory["state"].double()
     x = states[:, -last:] / scale
@@ -111,6 +118,7 @@ def judge_tracking(
         ],
         targets=dict(zip(evaluation.output_names, evaluation.ends, strict=False)),
         rates=[names[j] for j in sorted(rates)],
+        moving=moving,
     )
 
 
@@ -125,15 +133,16 @@ def judge_control(
     Args:
         flights: What each of one plant or more shows.
         within: Mean absolute error at the end that is asked for, in ranges of targets; the worst reference may be
-            `LOST` times as far.
+            `LOST` times as far, and so may all where no reference rests.
         code: Of the finding.
         **facts: What else it says: `grew`, whether the return did, or `seconds`, how long the flights were.
     """
-    outputs, first, missed = {}, flights[0], False
+    outputs, first, missed, lost = {}, flights[0], False, LOST * within
+    within = lost if first.moving else within
     for name in first.share:
         share = [_number(flight.share[name]) for flight in flights]
         worst = [_number(flight.worst[name]) for flight in flights]
-        missed |= max(share) > within or max(worst) > LOST * within
+        missed |= max(share) > within or max(worst) > lost
         outputs[name] = {"least": min(share), "most": max(share), "worst": max(worst), "of_turn": name in first.turned}
     away: dict[str, dict[str, Any]] = {}
     for flight in flights:
@@ -141,7 +150,7 @@ def judge_control(
             told = away.setdefault(name, {"share": 0.0, "swings": True})
             told |= {"share": max(told["share"], share_of_runs), "swings": told["swings"] and name in flight.swings}
     controlled = False if missed or away else True if outputs else None
-    facts |= {"controlled": controlled, "outputs": outputs, "within": within, "lost": LOST * within, "away": away}
+    facts |= {"controlled": controlled, "outputs": outputs, "within": within, "lost": lost, "away": away}
     ringing = dict.fromkeys(name for flight in flights for name in flight.ringing)
     facts |= {"ringing": [name for name in ringing if name not in away]}
     facts |= {"idle": sorted({name for flight in flights for name in flight.idle})}
