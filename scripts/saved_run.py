@@ -191,10 +191,9 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
         Whether it is as good as the config wants it to be.
     """
     planning, source, parts, findings = prepare(cfg)
-    folder, settings, words = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True), HydraConfig.get().overrides.task
+    folder, words, read = Path(cfg.folder), HydraConfig.get().overrides.task, _digests(cfg)
     figures = output_folder(folder, "figures")
-    read = _digests(cfg)
-    if swept and _finished(folder, settings, read):
+    if swept and _finished(folder, read):
         say(f"finished before: {folder}")
         return True
     say(f"Run folder: {folder}", *lines(findings))
@@ -204,15 +203,16 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
     task = instantiate(cfg.task, _convert_="all")(signature=model.signature)
     for name in ("metrics.json", NAME):  # of other settings
         (folder / name).unlink(missing_ok=True)
-    write_text(folder / "config.yaml", settings)  # before the plan, which may fail
     write_json(folder / "origin.json", {**command_and_commit(HydraConfig.get()), "read": read})
-    model.save(folder / "model.json")
+    model.save(folder / "model.json")  # before the plan, which may fail
     dt, why = closest_period(source, cfg.env.dt), None
     if cfg.env.dt == PERIOD and not any(word.lstrip("+").startswith("env.dt=") for word in words):
         dt, why = suited_period(model, task, source)
     elif source is not None and dt != cfg.env.dt:
         why = note("control.sampled", seconds=dt, wanted=cfg.env.dt, step=source.training.dt)
     say(*lines(filter(None, [why, refit_shortage(model, source)])))
+    OmegaConf.update(cfg, "env.dt", dt)
+    write_text(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
     try:
         controller = plan(model, task, source, parts["sensors"], dt, cfg.seed, **planning)
         save(controller, folder / NAME)  # before the forecast, which may fail
@@ -239,17 +239,19 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
 
 
 def _digests(cfg: DictConfig) -> dict[str, str]:
-    """Return the SHA-256 of what is read: a log that was recorded anew has the same name."""
+    """Return the SHA-256 of the settings and of what is read: a log that was recorded anew has the same name."""
     logs = OmegaConf.select(cfg, "data.path", default=None)
     files = (cfg.model, *([logs] if isinstance(logs, str) else logs or ()))
     found = sorted(str(file) for file in files if file and Path(file).is_file())
-    return {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in found}
+    settings = {"settings": OmegaConf.to_yaml(cfg, resolve=True).encode()}
+    texts = settings | {file: Path(file).read_bytes() for file in found}
+    return {name: hashlib.sha256(text).hexdigest() for name, text in texts.items()}
 
 
-def _finished(folder: Path, settings: str, read: Mapping[str, str]) -> bool:
+def _finished(folder: Path, read: Mapping[str, str]) -> bool:
     """Return whether a folder holds a finished job of the same settings and files."""
     with suppress(OSError, KeyError, ValueError):
-        same = (folder / "config.yaml").read_text() == settings and read_json(folder / "origin.json")["read"] == read
+        same = read_json(folder / "origin.json")["read"] == read
         return same and "controlled" in read_json(folder / "metrics.json")["prediction"]
     return False
 

@@ -7,7 +7,7 @@
 | steady_state_error  | mean absolute error over the last `steady_seconds` (5 s of 20 s)         | that of the output |
 | overshoot           | largest excursion beyond the reference, in percent of the step           | %    |
 | rise_time           | from 10 % to 90 % of the step                                            | s    |
-| settling_time       | from the step until the error stays within 5 % of the step               | s    |
+| settling_time       | from the step until the error stays within 5 % of the step, or the noise | s    |
 | control_effort      | mean square input                                                        | -    |
 | control_variation   | mean absolute change of the input per second                             | 1/s  |
 
@@ -42,6 +42,8 @@ RISE = (0.1, 0.9)
 """Shares of the step between which it rises."""
 SETTLING_BAND = 0.05
 """Half width of the settling band, as a share of the step."""
+NOISE = 3.0
+"""Half width of the band of what a sensor cannot tell from the target [standard deviations of its noise]."""
 MIN_STEP = 0.05
 """Smallest step whose overshoot, rise and settling time are meaningful [target ranges]."""
 
@@ -57,7 +59,13 @@ def steady_seconds(dt: float, samples: int) -> float:
 
 
 def tracking_metrics(
-    time: Tensor, y: Tensor, r: Tensor, u: Tensor, boxes: Tensor | None = None, until: float = math.inf
+    time: Tensor,
+    y: Tensor,
+    r: Tensor,
+    u: Tensor,
+    boxes: Tensor | None = None,
+    until: float = math.inf,
+    noise: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """Compute every metric of the module's table.
 
@@ -68,6 +76,7 @@ def tracking_metrics(
         u: `(*batch, T, n_u)` inputs held from each sample on, in [-1, 1].
         boxes: `(n_r,)` extents of the targets, of which a step is a share; one of each unit if omitted.
         until: When a disturbance begins, before which steps are judged [s]; one from the start on is part of the step.
+        noise: `(n_r,)` standard deviations of the sensors, by `NOISE` of which what has settled may miss; 0 if omitted.
 
     Returns:
         `rmse` to `settling_time` of shape `(*batch, n_r)`, `control_*` of shape `(*batch, n_u)`.
@@ -79,7 +88,8 @@ def tracking_metrics(
     size = target[..., -1:, :] - before[..., :1, :]
     step = (size.abs() >= smallest) & (target == target[..., -1:, :]).all(-2, keepdim=True)
     progress = (before - before[..., :1, :]) / torch.where(step, size, 1.0)  # share of the step, 1 on the reference
-    outside = (progress - 1.0).abs() > SETTLING_BAND
+    floor = NOISE * (torch.zeros(y.shape[-1]) if noise is None else noise).to(y)
+    outside = (progress - 1.0).abs() > (floor / size.abs()).clamp_min(SETTLING_BAND)
     # Index of the first sample that is inside together with all that follow it.
     index = torch.where(outside, torch.arange(1, len(t) + 1, device=t.device).unsqueeze(-1), 0).amax(-2)
     never = outside[..., _steady(t), :].any(-2)

@@ -248,9 +248,11 @@ def evaluate(
     calm, task = _prepare(env, scenario, 0 if sensing is None else sensing.observer.width)
     wrapped = policy if sensing is None else sensing.on(calm, sensing.rng).controller(policy)
     disturbing: list[object] = [scenario.plant(calm.system)] if scenario.plant else []
+    noise = torch.zeros(env.system.signature.n_x, dtype=torch.float64)
     for wrap in scenario.wrappers:
         wrapped = wrap(wrapped, calm)
         disturbing.append(wrapped)
+        noise = wrapped.std if isinstance(wrapped, SensorNoise) else noise
         if sensing is not None and isinstance(wrapped, SensorNoise):  # noise is of what the observer reads
             std = dict(zip(env.system.signature.state_names, wrapped.std.tolist(), strict=True))
             louder = sensing.sensors.noisier(std)  # than the observer knows of
@@ -260,11 +262,12 @@ def evaluate(
     if sensing is not None:
         sensing = sensing.on(calm, torch.Generator().manual_seed(scenario.seed))
         start = sensing.begin(start)
+        noise = sensing.sensors.variance(env.system.signature).sqrt()
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng():
         _check_action(policy, start, env.system.signature.n_u, scenario.name)
         trajectory = _run(calm, wrapped, scenario, start, sensing, phase or f"policy in scenario '{scenario.name}'")
     words = tuple(each.summary() for each in disturbing if hasattr(each, "summary"))
-    return replace(_measure(calm, task, scenario, trajectory), disturbances=words)
+    return replace(_measure(calm, task, scenario, trajectory, noise), disturbances=words)
 
 
 def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEnv, Task]:
@@ -325,7 +328,7 @@ def _check_action(policy: Policy, start: TensorDictBase, n_u: int, name: str) ->
         raise ValueError(f"the policy gave {given} in scenario '{name}', the plant takes {wanted}; load its own policy")
 
 
-def _measure(env: ControlEnv, task: Task, scenario: Scenario, trajectory: TensorDictBase) -> Evaluation:
+def _measure(env: ControlEnv, task: Task, scenario: Scenario, trajectory: TensorDictBase, noise: Tensor) -> Evaluation:
     # Root entries: state and reference at the moment an action is chosen, so that a step begins at time zero.
     time = torch.arange(trajectory.shape[-1], dtype=torch.float64) * env.dt
     outputs = [env.system.signature.state_index(name) for name in task.output_names]
@@ -334,7 +337,8 @@ def _measure(env: ControlEnv, task: Task, scenario: Scenario, trajectory: Tensor
     turns = torch.tensor([turn_of(env.system.signature.state_units[i]) for i in outputs], dtype=torch.float64)
     boxes = task.boxes().minimum(turns) if isinstance(task, Tracking) else torch.ones(len(outputs))
     windows = tuple((start, end) for start, end in scenario.windows or ()) if scenario.plant else ()
-    metrics = tracking_metrics(time, y, r, u, boxes, min((start for start, _ in windows), default=math.inf))
+    until, floor = min((start for start, _ in windows), default=math.inf), noise[outputs].nan_to_num(posinf=0.0)
+    metrics = tracking_metrics(time, y, r, u, boxes, until, floor)
     ends = tuple(zip(*task.ends, strict=True)) if isinstance(task, Tracking) and task.ends else ()
     extents, signature, columns = tuple(boxes.tolist()), env.system.signature, tuple(outputs)
     return Evaluation(scenario.name, signature, columns, time, trajectory, metrics, windows, extents, ends=ends)

@@ -49,6 +49,16 @@ def test_times_of_a_first_order_system() -> None:
     assert metrics["mean_abs_error"].item() == pytest.approx(0.3 * tau / 20, rel=2e-3)
 
 
+def test_what_a_sensor_cannot_tell_from_the_target_has_settled() -> None:
+    # A ripple of .01 about a target of .1 stays within 3 standard deviations of a sensor's .004, and not of its .003.
+    y = (0.1 * (1 - torch.exp(-2 * TIME)) + 0.01 * torch.sin(9 * TIME)).unsqueeze(-1)
+    r, u = torch.full_like(y, 0.1), torch.zeros_like(y)
+    times = [
+        tracking_metrics(TIME, y, r, u, noise=torch.tensor([std]))["settling_time"].item() for std in (0.003, 0.004)
+    ]
+    assert times[0] == math.inf and 0.5 * math.log(0.1 / 0.022) <= times[1] <= 0.5 * math.log(0.1 / 0.002)
+
+
 def test_a_gust_after_the_step_is_no_part_of_it() -> None:
     """y = 1 - exp(-t) is within 5 % after ln 20 s = 3 s; a gust from 12 to 15 s pushes it by 0.4."""
     time = 0.01 * torch.arange(3000, dtype=torch.float64)

@@ -11,6 +11,7 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
+from dynasindy.control import load
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.sindy import SindyModel
@@ -109,14 +110,19 @@ def test_the_log_of_a_rig_that_is_known_by_names_is_identified_with_its_ends_and
     (tmp_path / "system" / "arm.yaml").write_text(ARM)
     words = ["--config-dir", str(tmp_path), "system=arm", "data=csv", f"data.path={path}", f"folder={tmp_path}/run"]
     functions = "plant.library=['1',u,theta,theta_rate,'sin(theta)']"
-    done = train(*words, "plant.known={theta: theta_rate}", functions, *SHORT, "evaluation.must_control=false")
+    done = train(
+        *words, "plant.known={theta: theta_rate}", functions, *SHORT, "env.dt=0.034", "evaluation.must_control=false"
+    )
     assert done.returncode == 0, done.stderr
     assert "12 V" in done.stdout
     model = SindyModel.load(tmp_path / "run" / "model.json")
     assert model.signature.input_ends == ((-12.0, 12.0),) and model.signature.input_units == ("V",)
     column = [float(model.coefficients[model.library.index(name), 1]) for name in ("u", "sin(theta)", "theta_rate")]
     assert column == pytest.approx([12.0, -9.81, -0.5], rel=0.02)
-    assert json.loads((tmp_path / "run" / "controller.json").read_text())["task"]["rates"] == ["theta_rate"]
+    written = json.loads((tmp_path / "run" / "controller.json").read_text())
+    assert written["task"]["rates"] == ["theta_rate"]
+    # The multiple of 0.01 s between samples that is used, and not what was asked for.
+    assert OmegaConf.load(tmp_path / "run" / "config.yaml").env.dt == load(tmp_path / "run").dt == pytest.approx(0.03)
 
 
 def test_a_job_of_a_sweep_is_done_again_if_its_log_is_another_one(tmp_path, monkeypatch):
@@ -128,12 +134,11 @@ def test_a_job_of_a_sweep_is_done_again_if_its_log_is_another_one(tmp_path, monk
     cfg = OmegaConf.create({"model": None, "data": {"path": str(file)}})
     file.write_text("time,y,u\n")
     read = saved_run._digests(cfg)
-    assert read == {str(file): hashlib.sha256(b"time,y,u\n").hexdigest()}
-    (run / "config.yaml").write_text("settings")
+    assert read[str(file)] == hashlib.sha256(b"time,y,u\n").hexdigest()
     (run / "origin.json").write_text(json.dumps({"command": "train.py", "read": read}))
-    assert saved_run._finished(run, "settings", read) is False  # it has forecast nothing yet
+    assert saved_run._finished(run, read) is False  # it has forecast nothing yet
     (run / "metrics.json").write_text('{"prediction": {"controlled": true}}')
-    assert saved_run._finished(run, "settings", read) is True
-    assert saved_run._finished(run, "other settings", read) is False
+    assert saved_run._finished(run, read) is True
+    assert saved_run._finished(run, saved_run._digests(OmegaConf.merge(cfg, {"seed": 1}))) is False
     file.write_text("time,y,u\n0,1,2\n")
-    assert saved_run._finished(run, "settings", saved_run._digests(cfg)) is False
+    assert saved_run._finished(run, saved_run._digests(cfg)) is False
