@@ -80,15 +80,19 @@ def targets_like(
 
 
 def _usual(source: Source, name: str) -> tuple[float, float]:
-    """Return the ends between which most samples of a state lie, around zero and a turn apart at most of an angle."""
+    """Return the ends between which most samples of a state lie, of an angle a turn apart at most.
+
+    They lie around zero, or around the whole turns in the middle of an angle that was wound away from there.
+    """
     place = source.signature.state_index(name)
     column = source.training.x[:, place].double()
     low, high = float(column.nanquantile(INNER)), float(column.nanquantile(1 - INNER))
-    half = 0.5 * turn_of(source.signature.state_units[place])
-    if high - low <= 2 * half:
+    turn = turn_of(source.signature.state_units[place])
+    if high - low <= turn:
         return low, high
-    middle = min(max(0.0, low + half), high - half)
-    return middle - half, middle + half
+    zero = 0.0 if low <= 0 <= high else turn * round((low + high) / (2 * turn))
+    middle = min(max(zero, low + turn / 2), high - turn / 2)
+    return middle - turn / 2, middle + turn / 2
 
 
 def _held_within(
