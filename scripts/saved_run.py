@@ -21,6 +21,7 @@ from identify import load_data
 from omegaconf import DictConfig, OmegaConf
 from settings import check, plugins_of, read_config
 
+from dynasindy.checking.verdict import thin_margin
 from dynasindy.control import load, save
 from dynasindy.control.files import NAME
 from dynasindy.control.period import suited_period
@@ -82,8 +83,9 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
     controlled = metrics["verdict"].get("controlled") is not False
     written = (folder / NAME).is_file()  # a task without targets leaves no controller to check or to export
     if controlled and not swept:
+        thin = thin_margin(load(folder), SindyModel.load(folder / "model.json")) if written else ()
         flown = run_steps(folder, "evaluate", plugins=plugins_of(cfg))
-        say(next_steps(*flown, *(run_steps(folder, "check", "export") if written else ())))
+        say(*lines(thin), next_steps(*flown, *(run_steps(folder, "check", "export") if written else ())))
     elif not swept:
         lacking, words = "model.unexplained" in [f["code"] for f in metrics["findings"]], job.overrides.task
         say(improvements(folder, words, recipe.train.episodes, written, metrics["imagined_error"], lacking))
@@ -231,7 +233,8 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
         from dynasindy.viz.response import draw_evaluation
 
         draw_evaluation(flown, figures, controller_name("gradient"), tuple(cfg.formats), prediction.place)
-    say(log_report(model, prediction), f"Controller: {folder / NAME}", *model.signature.own_inputs())
+    thin = thin_margin(controller, model) if prediction.controlled else ()
+    say(log_report(model, prediction), *lines(thin), f"Controller: {folder / NAME}", *model.signature.own_inputs())
     if not swept:
         steps, doubted = run_steps(folder, "check", "export"), bool(prediction.doubts)
         say(next_steps(*steps) if prediction.controlled else improvements(folder, words, lacking=doubted))

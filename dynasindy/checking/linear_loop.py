@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.linalg import eig, matrix_balance, solve_discrete_lyapunov
-from scipy.optimize import brentq
 from torch import Tensor
 
 from dynasindy.checking.closed_loop import ClosedLoop
@@ -323,5 +322,7 @@ def _of(linear: Linear, omega: Array, s: Complex, place: int) -> Margins:
 
 def _crossings(omega: Array, values: Array, function: Callable[[float], float]) -> list[float]:
     """Return where a function is zero between points of a grid."""
+    from scipy.optimize import brentq  # whose import takes longer than a disk margin
+
     places = np.nonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0)[0]
     return [float(brentq(function, omega[k], omega[k + 1], xtol=1e-10 * omega[-1])) for k in places]

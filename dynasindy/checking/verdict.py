@@ -12,8 +12,11 @@ import torch
 from torch import Tensor
 
 from dynasindy.checking.check import TOLERANCE, Check
-from dynasindy.checking.linear_loop import NEUTRAL
+from dynasindy.checking.closed_loop import ClosedLoop
+from dynasindy.checking.linear_loop import NEUTRAL, find_rest, frequencies, sensitivity
+from dynasindy.control import Controller
 from dynasindy.findings import Finding, note, records, weak, wrong
+from dynasindy.sindy import SindyModel
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,24 @@ def check_record(found: Check) -> dict[str, Any]:
         ],
     }
     return {"findings": records(check_verdict(found)), **_finite(figures)}
+
+
+def thin_margin(controller: Controller, model: SindyModel) -> list[Finding]:
+    """Return that the disk margin is thin in the middle of the targets, or nothing: what `check` tells cheapest of all.
+
+    Args:
+        controller: The controller.
+        model: Model of the plant.
+    """
+    if (ends := controller.setup.task.ends) is None:
+        return []
+    target, limit = torch.tensor(ends, dtype=torch.float64).mean(0), Thresholds().disk
+    rest = find_rest(ClosedLoop(controller, model), target.unsqueeze(0))
+    linear = rest.linear.row(0)
+    margins = 1 / np.abs(sensitivity(linear, frequencies(linear)) - 0.5).max(0) * bool(rest.stable)
+    least, name = float(margins.min()), model.signature.input_names[int(margins.argmin())]
+    thin = weak("run.thin_margin", value=least, input=name, limit=limit, target=target.tolist())
+    return [thin] if least < limit else []
 
 
 def _named(names: Sequence[str], values: Any) -> dict[str, Any]:

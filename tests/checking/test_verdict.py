@@ -19,6 +19,7 @@ from dynasindy.checking.verdict import (
     Thresholds,
     check_record,
     check_verdict,
+    thin_margin,
     unstable_targets,
 )
 from dynasindy.sentences import REMEDIES, SENTENCES, check_lines
@@ -189,3 +190,20 @@ def test_findings_come_first_and_what_is_infinite_is_null(loops, carts):
     told = [target["margins"]["force"]["gain"] for target in held["targets"]]
     assert [value if value is not None else math.inf for value in told] == gains
     assert [change["spectral_radius"] for change in held["changes"]] == found.spread.worst.tolist()
+
+
+@pytest.mark.parametrize("k_v", [2.5, 14.0, 25.0])
+def test_a_thin_disk_margin_in_the_middle_of_the_targets_is_said(loops, law, k_v):
+    loop = loops(law(2.0, k_v))
+    loop.task.ends = ((-0.4,), (0.8,))
+    found = thin_margin(loop.controller, loop.model)
+    # Of u = -K x on x+ = A x + B u, a double integrator under held inputs, by a grid of S = 1 / (1 + K (z - A)^-1 B).
+    a, b, k = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]]), np.array([[2.0, k_v]])
+    z = np.exp(1j * np.linspace(1e-3, math.pi, 20_000))[:, None, None]
+    s = 1 / (1 + k @ np.linalg.solve(z * np.eye(2) - a, np.broadcast_to(b, (len(z), 2, 1))))[:, 0, 0]
+    disk = 1 / np.abs(s - 0.5).max() if np.abs(np.linalg.eigvals(a - b @ k)).max() < 1 else 0.0
+    assert bool(found) == (disk < 0.5)
+    for each in found:
+        values = each.values
+        assert each.severity == "weak" and (values["input"], values["target"]) == ("force", [pytest.approx(0.2)])
+        assert values["value"] == pytest.approx(disk, rel=1e-3)
