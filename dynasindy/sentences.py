@@ -597,6 +597,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "falls; up to {seconds:time} ahead this model has at most half of the error of the last value held",
     "model.linear_better": "a linear model on past samples predicts {state} {seconds:time} ahead to {linear:error} "
     "{unit}, this one to {error:error}: a function may be missing, or a state that no sensor sees",
+    "model.leave_out": "if {states:and} is no part of the plant, as a temperature beside it, leave it out: "
+    "{kept:data.states}",
     "model.unexplained": "of the changes from sample to sample the model misses {shares:shares}: its library lacks a "
     "function, or the plant has a state that is not measured",
     "model.short_validation": "the validation data are too short to judge how far ahead the model predicts",

@@ -63,6 +63,7 @@ from dynasindy.identification.verdict import (
     runs_away,
     shortcoming,
     targets_beyond_log,
+    what_to_leave_out,
 )
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.plan_settings import LONGEST, find_task_equilibria, unheld
@@ -272,7 +273,8 @@ def _doubts(model: SindyModel, log: Source, seconds: float) -> list[Finding]:
         return []
     short = shortcoming(forecasts, model.signature, min(seconds, forecasts.characteristic))
     lacking = [short] if short and not runs_away(forecasts, model.signature) else []
-    return [*lacking, *(each for each in linear_better(forecasts, model.signature) if each.severity == "wrong")]
+    lacking += [each for each in linear_better(forecasts, model.signature) if each.severity == "wrong"]
+    return [*lacking, *what_to_leave_out(lacking, log.training, log.signature)]
 
 
 def tracking_task(model: SindyModel, targets: Mapping[str, tuple[float, float]]) -> Tracking:

@@ -118,8 +118,10 @@ class Identified(LogFit):
         """Whether the model predicts, and what limits that, the gravest first."""
         if self.forecasts is None:
             return [*self.quiet, weak("model.short_validation")]
-        errors = self.resolved()
-        return [*(verdict.model_findings(errors, self.model.signature) if errors is not None else []), *self.quiet]
+        errors, source = self.resolved(), self.source
+        found = [] if errors is None else verdict.model_findings(errors, self.model.signature)
+        rest = verdict.what_to_leave_out(found, source.training, source.signature) if source.logged else []
+        return [*found, *rest, *self.quiet]
 
     @property
     def findings(self) -> list[Finding]:

@@ -260,6 +260,21 @@ def shortcoming(forecasts: ForecastErrors, signature: Signature, seconds: float 
     return wrong("model.misses", seconds=ahead, errors=errors, held=last, units=units)
 
 
+def what_to_leave_out(findings: Sequence[Finding], data: Transitions, signature: Signature) -> list[Finding]:
+    """Return how states that a model does not predict are left out, as what is no part of a plant is to be.
+
+    Args:
+        findings: What is wrong of the model.
+        data: A log.
+        signature: Names of its states.
+    """
+    facts = [each.values for each in findings if each.severity == "wrong"]
+    poor = {name for each in facts for name in (*each.get("errors", ()), *each.get("states", ()), each.get("state"))}
+    kept = [name for name in _names(signature, ~data.x.isnan().all(0)) if name not in poor]
+    poor &= {*signature.state_names}
+    return [weak("model.leave_out", states=sorted(poor), kept=kept)] if poor and kept else []
+
+
 def recording_findings(data: Transitions, signature: Signature) -> list[Finding]:
     """Return in which steps the sensors of a log read."""
     findings = []

@@ -19,6 +19,7 @@ from dynasindy.identification.verdict import (
     recording_findings,
     require_controlled,
     targets_beyond_log,
+    what_to_leave_out,
 )
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.library import Library, of, variable
@@ -90,6 +91,15 @@ def test_a_plant_that_runs_away_by_itself_is_said_to_where_a_linear_model_does_s
     assert falling == [lost, weak("model.unstable_plant", states=["q"], seconds=seconds)]
     staying = model_findings(replace(found, linear=torch.tensor([[0.1], [1.0], [9.0]])), one)
     assert staying == [lost]
+
+
+def test_measured_states_that_are_predicted_are_those_to_keep_beside_others():
+    data = Transitions.from_trajectory(torch.tensor([[0.0, math.nan, 1.0]]).repeat(9, 1).double(), torch.zeros(8, 1), 1)
+    for q in (0.06, math.inf):
+        (told,) = what_to_leave_out(model_findings(forecasts(q), SIGNATURE), data, SIGNATURE)
+        assert told == weak("model.leave_out", states=["q"], kept=["w"]) and "states=['w']" in str(told)
+    assert not what_to_leave_out(model_findings(forecasts(0.06, 1e3), SIGNATURE), data, SIGNATURE)  # none is predicted
+    assert not what_to_leave_out(model_findings(forecasts(0.002), SIGNATURE), data, SIGNATURE)
 
 
 def test_the_table_and_the_file_hold_measured_states_alone():
