@@ -93,11 +93,13 @@ def lines(findings: Iterable[Finding]) -> list[str]:
 
 
 class _Formatter(string.Formatter):
-    """Format lists, durations, units, settings and words said if a value is true, beside what Python formats."""
+    """Format lists, durations, units, settings, words for one or many, and words said if a value is true."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if format_spec in FORMATS:
             return FORMATS[format_spec](value)
+        if "|" in format_spec:
+            return format_spec.split("|")[value != 1].replace("#", str(value))
         if format_spec.startswith("?"):
             return f" {format_spec[1:]}" if value else ""
         named = "." in format_spec[1:-1] and format_spec[0].isalpha()
@@ -224,7 +226,10 @@ def _rate_units(state: str, rate: str, factor: float, guessed: bool, unit: str =
 def _quiet(steps: Mapping[str, int], wanted: int, inputs: Mapping[str, float | None]) -> str:
     """Say which states move too little, and how far inputs are to go."""
     which = " and ".join(f"{name}, which moves by {count} steps of its sensor" for name, count in steps.items())
-    far = (f"{n}, which does not move" if by is None else f"{n} {by:.2g} times as far" for n, by in inputs.items())
+    far = (
+        f"{n}, which does not move" if by is None else f"{n} {max(by, 1.1):.2g} times as far"
+        for n, by in inputs.items()
+    )
     return f"the log is too quiet to tell of {which}, where some {wanted} are wanted: move {', or '.join(far)}"
 
 
@@ -328,10 +333,10 @@ def _track_rates(rates: Sequence[str], targets: Mapping[str, Sequence[float]]) -
 
 
 def _percent(share: float) -> str:
-    """Return a share in percent, or as a factor from 10 on."""
+    """Return a share in percent."""
     if not math.isfinite(share):
         return "no number"
-    return f"{float(f'{100 * share:.2g}'):g} %" if share < 10 else f"{float(f'{share:.2g}'):g} times"
+    return f"{float(f'{100 * share:.2g}'):,g} %"
 
 
 # --- what a controller will do ---------------------------------------------------------------------------------------
@@ -439,13 +444,14 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "headings, save it as UTF-8",
     "log.no_headings": "the file has no headings; its columns are called {names:list}",
     "log.long_format": "each row holds one signal; each of them has a column: {signals:list}",
-    "log.title_lines": "{count} lines above the headings were skipped",
+    "log.title_lines": "{count:# line|# lines} above the headings {count:was|were} skipped",
     "log.sheet": "the sheet {sheet} is read, which holds most; left out: {others:list}",
     "log.other_lengths": "left out, as no columns of {length} real numbers: {names:list}",
     "log.same_columns": "read once, as they stand there twice, with the same numbers: {columns:list}",
     "log.second_clock": "{columns:list} of the clock {clocks:list} stand at the times of {first}",
     "log.no_time": "the file has no column of time, and its rows are taken as even",
-    "log.words": "line {line}, column {column!r} holds {text!r}; {count} cells that are no numbers count as missing",
+    "log.words": "line {line}, column {column!r} holds {text!r}; {count:# cell that is no number counts|"
+    "# cells that are no numbers count} as missing",
     "log.left_out": _left_out,
     "log.time": lambda column, unit, dates, dt: (
         f"time is the column {column}, {'read as dates' if dates else f'in {unit}' if unit else 'taken as seconds'}"
@@ -453,7 +459,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "log.coarse_clock": "{column} moves in ticks of {tick:.4g} s, and rows are taken as even, {dt:.6g} s apart",
     "log.overflow": "the time counts to {size:g} and goes on from 0 in line {lines:list}",
-    "log.sorted": "the time goes back {count} times, first in line {line}; the rows were put in its order",
+    "log.sorted": "the time goes back {count:once|# times}, first in line {line}; the rows were put in its order",
     "log.restart": "the time begins anew in line {lines:list}, and so does a recording",
     "log.whole_seconds": lambda column: (
         f"{column} holds whole numbers without a unit: of a counter of rows give the true time between two in seconds, "
@@ -466,21 +472,22 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         f"{', '.join(f'{name} ({count})' for name, count in counts.items())}, or have no finite number there; "
         + ("they were skipped" if skipped else "the fit goes on with what else they hold")
     ),
-    "log.copies": "{count} rows are those before them once more, the first in line {line}; they were left out",
-    "log.code": "{column} is {value:g} in {count} rows from line {line} on, far off all others; they count as missing",
-    "log.spikes": "{state} leaves its course for {count} single samples, first in line {line}, which count as missing",
-    "log.unwrapped": lambda state, turn, times, counts: (
-        f"{state} jumps by {turn:.6g} {times} times and was unwrapped, as a controller has to do"
-        + ("" if counts else "; a unit that is none of an angle keeps it as it is")
-    ),
-    "log.jumps": "{state} jumps {times} times by up to {size:.4g}, first after {after:.6g} s, and else moves by at "
-    "most {usual:.4g} from row to row. If it goes round, give the length of a turn, here 1 / scale: "
+    "log.copies": "{count:# row is the one before|# rows are those before them} once more, the first in line {line}, "
+    "and left out",
+    "log.code": "{column} is {value:g} in {count:# row|# rows} from line {line} on, far off all others, and left out",
+    "log.spikes": "{state} leaves its course for {count:a single sample in|# single samples, first in} line {line}, "
+    "which {count:counts|count} as missing",
+    "log.unwrapped": "{state} jumps by {turn:.6g} {times:once|# times} and was unwrapped, as a controller has to do"
+    "{counts:|; a unit that is none of an angle keeps it as it is}",
+    "log.jumps": "{state} jumps {times:once|# times} by up to {size:.4g}, first after {after:.6g} s, and else moves by "
+    "at most {usual:.4g} from row to row. If it goes round, give the length of a turn, here 1 / scale: "
     "{states:data.states}; if it was set anew, or its unit changed, split the log there",
     "log.long_gap": "{rows} rows in stretches of more than {longest:g} rows without {state} were left out",
-    "log.gaps": "{count} gaps longer than 1.5 sampling times split the recording",
+    "log.gaps": "{count:# gap|# gaps} longer than 1.5 sampling times {count:splits|split} the recording",
     "log.resampled": "{count} of {total} sampling times are not {dt:g} s; states were resampled by splines, inputs, "
     "taken as held, by means. If only the times were written late, give a counter as the time and {dt:data.dt}",
-    "log.stop": "{count} samples with {state} at {value:g}, a stop, saturation or frozen sensor, were masked",
+    "log.stop": "{count:# sample|# samples} with {state} at {value:g}, a stop, saturation or frozen sensor, "
+    "{count:was|were} masked",
     "log.followed": "{columns:list} move in steps that another column follows, and are left out as references; if they "
     "are states, give {states:data.states}",
     "log.held_states": "{states:list} stand still in most rows, as commands do, sensors that failed, and samples "
@@ -508,7 +515,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.resolution": "{state} is read in steps of {step:.3g} {unit}{coarse:?(a sensor that cuts off reads half a step "
     "too low, which no standard error tells)}",
     "log.low_signal": _quiet,
-    "log.touched_stop": "{count} samples that touched a stop were left out",
+    "log.touched_stop": "{count:# sample|# samples} that touched a stop {count:was|were} left out",
     "log.rate_contradicted": "{rate} was given as the rate of {state}, which the log contradicts: {state} does not "
     "move by its integral (correlation {correlation:.2f}); correct <plant.known> or the columns",
     "log.rate_exchanged": "{rate} was given as the rate of {state}, and in the log it is the other way round; give "
@@ -593,8 +600,10 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         + ", ".join(f"{name} by {error_of(error)} {units[name]}" for name, error in errors.items())
         + f"; the last value held misses {', '.join(map(error_of, held.values()))}"
     ),
-    "model.unstable_plant": "a linear model on past samples lets {states:and} run away, too, as a pole does that "
-    "falls; up to {seconds:time} ahead this model has at most half of the error of the last value held",
+    "model.unstable_plant": lambda states, seconds: (
+        f"a linear model on past samples lets {' and '.join(states)} run away, too, as a pole does that falls"
+        + f"; for {format_duration(seconds)} this model has half of the error of the last value held" * bool(seconds)
+    ),
     "model.linear_better": "a linear model on past samples predicts {state} {seconds:time} ahead to {linear:error} "
     "{unit}, this one to {error:error}: a function may be missing, or a state that no sensor sees",
     "model.leave_out": "if {states:and} is no part of the plant, as a temperature beside it, leave it out: "
@@ -632,8 +641,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "plant.longer_episodes": "episodes have {steps} control periods (<task.max_steps>), and the environment is "
     "registered with {registered}, a limit that does not hold here",
     "excitation.restarts": lambda times, beyond: (
-        f"the excitation began anew at the start {times} times: "
-        + ", ".join(map("{state} beyond {low:g} to {high:g} {unit}, {times} times".format_map, beyond))
+        _fill("the excitation began anew at the start {times:once|# times}: ", {"times": times})
+        + ", ".join(_fill("{state} beyond {low:g} to {high:g} {unit}, {times:once|# times}", each) for each in beyond)
         + "an episode was over" * (not beyond)
     ),
     "excitation.stops": "the excitation reached a mechanical stop in {count} of {total} control periods; the model is "

@@ -59,7 +59,7 @@ def test_states_that_still_ring_are_named_and_speak_against_nothing():
         ({}, 0.003, "x 0.4 %"),
         ({"share": {"x": None}}, 0.01, "x no number"),
         ({"worst": {"x": 0.11}}, 0.01, "11 % at worst"),
-        ({"share": {"x": 0.004, "y": 700.0}, "worst": {"x": 0.0, "y": 700.0}}, 0.01, "y 700 times"),
+        ({"share": {"x": 0.004, "y": 700.0}, "worst": {"x": 0.0, "y": 700.0}}, 0.01, "y 70,000 %"),
         ({"away": {"theta": 0.5}}, 0.01, "50 % of the runs"),
     ],
 )
