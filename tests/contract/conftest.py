@@ -1,21 +1,11 @@
-"""The doors that a user has: a command with its words, and the log of a plant.
+"""The doors that a user has: a command with its words, and the log of a plant."""
 
-A command is run in a fork of the process of the tests, which has imported torch and the package already. Tests of how
-a command starts, or of what it finds in its environment, have a process of their own.
-"""
-
-import os
-import runpy
-import signal
-import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import forked
 import pytest
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @dataclass(frozen=True)
@@ -27,67 +17,17 @@ class Ended:
     err: str
 
 
-class Running:
-    """A command that runs in a fork, with its output in files beside its folder."""
+@pytest.fixture(scope="session")
+def command() -> Any:
+    """Return what runs a command by its name and its words in a folder, where figures are drawn if asked for."""
 
-    def __init__(self, name: str, words: tuple[str, ...], cwd: Path, figures: bool) -> None:
-        import warmed  # noqa: F401 - before the fork
-
-        self.figures = figures
+    def run(name: str, *words: str, cwd: Path, figures: bool = False, seconds: float = 1200.0) -> Ended:
         cwd.mkdir(parents=True, exist_ok=True)
-        self.files = [cwd.parent / f"{cwd.name}.{stream}" for stream in ("out", "err")]
-        self.id = os.fork()
-        if not self.id:
-            self._be(name, words, cwd)
+        words = forked.script(name, *words, before="" if figures else forked.DRAWING_NOTHING)
+        done = forked.run(words, cwd=cwd, timeout=seconds)
+        return Ended(done.returncode, done.stdout, done.stderr)
 
-    def _be(self, name: str, words: tuple[str, ...], cwd: Path) -> None:
-        """Become the process of the command."""
-        code = 1
-        try:
-            os.chdir(cwd)
-            if not self.figures:  # which are drawn from tables, and take as long as a small run
-                sys.modules["dynasindy.viz.run"].draw_run = lambda *_, **__: None
-                sys.modules["matplotlib.figure"].Figure.savefig = lambda *_, **__: None
-            for descriptor, file in enumerate(self.files, 1):
-                os.dup2(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), descriptor)
-            sys.stdout, sys.stderr = (os.fdopen(d, "w", buffering=1, closefd=False) for d in (1, 2))
-            sys.argv = [f"{name}.py", *words]
-            sys.path.insert(0, str(ROOT / "scripts"))
-            runpy.run_path(str(ROOT / "scripts" / f"{name}.py"), run_name="__main__")
-            code = 0
-        except SystemExit as end:
-            code = end.code if isinstance(end.code, int) else int(end.code is not None)
-        except BaseException:
-            sys.excepthook(*sys.exc_info())
-        finally:
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(code)
-
-    def send(self, number: int) -> None:
-        """Send a signal to the command."""
-        os.kill(self.id, number)
-
-    def end(self, seconds: float = 1200.0) -> Ended:
-        """Wait for the end of the command."""
-        deadline = time.monotonic() + seconds
-        while not (found := os.waitpid(self.id, os.WNOHANG))[0]:
-            if time.monotonic() > deadline:
-                self.send(signal.SIGKILL)
-            time.sleep(0.005)
-        return Ended(os.waitstatus_to_exitcode(found[1]), *(file.read_text(errors="replace") for file in self.files))
-
-
-@pytest.fixture(scope="session")
-def start() -> Any:
-    """Return what starts a command by its name and its words in a folder, where figures are drawn if asked for."""
-    return lambda name, *words, cwd, figures=False: Running(name, words, Path(cwd), figures)
-
-
-@pytest.fixture(scope="session")
-def command(start) -> Any:
-    """Return what runs a command by its name and its words in a folder."""
-    return lambda name, *words, seconds=1200.0, **more: start(name, *words, **more).end(seconds)
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,6 @@
 """A bad setting costs exit code 2 and one line that names it, before any work, and leaves nothing behind."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -264,7 +265,7 @@ def test_a_plant_that_fails_in_the_middle_of_a_run_is_named(command, tmp_path, m
     (tmp_path / "conf" / "system").mkdir(parents=True)
     (tmp_path / "conf" / "system" / "failing.yaml").write_text(YAML)
     (tmp_path / "failing.py").write_text(PLANT.replace("{fault}", fault))
-    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), os.pathsep)
     words = ("--config-dir", str(tmp_path / "conf"), "system=failing", *SHORT[1:], "task.max_steps=60", "folder=run")
     done = command("train", *words, cwd=tmp_path)
     lines = [line for line in done.err.splitlines() if line.startswith("error: ")]
@@ -315,7 +316,7 @@ for name, options in {"Nan": {"nan": True}, "Four": {"values": 4}, "Same": {"low
 )
 def test_an_environment_of_gymnasium_that_misbehaves(command, tmp_path, monkeypatch, kind, keys):
     (tmp_path / "masses.py").write_text(ENVIRONMENT)
-    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), os.pathsep)
     words = ("plant.states={p: 1.0, v: 2.0}", "plant.inputs=[force]", "plant.outputs=[p]", "plant.library=polynomial")
     words += ("plant.low=[-0.5]", "plant.high=[0.5]", f"env.id=masses:{kind}-v0", "env.dt=0.05", "folder=run")
     done = command("train", "system=gymnasium", *SHORT[1:], *words, cwd=tmp_path)
@@ -325,8 +326,6 @@ def test_an_environment_of_gymnasium_that_misbehaves(command, tmp_path, monkeypa
 
 
 def test_latest_names_the_newest_run_and_those_before_it(command, tmp_path):
-    import os
-
     for age, name in enumerate(("third", "second", "first")):
         (tmp_path / "runs" / name).mkdir(parents=True)
         (tmp_path / "runs" / name / "config.yaml").write_text("a: 1\n")

@@ -195,7 +195,7 @@ from os import system
 def test_a_plug_in_is_imported_only_where_the_user_names_it(evaluated, command, run, canary, tmp_path, monkeypatch):
     (tmp_path / "site").mkdir()
     (tmp_path / "site" / "my_part.py").write_text(PART.format(canary=str(canary)))
-    monkeypatch.syspath_prepend(tmp_path / "site")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"), os.pathsep)
     change(run, "system", {"_target_": "my_part.Part"})
     assert "my_part" in evaluated()
     monkeypatch.setenv("DYNASINDY_PLUGINS", "my")

@@ -14,12 +14,9 @@ from dynasindy.limits import check_memory, is_memory_error, memory, memory_wante
 REPOSITORY = Path(__file__).parents[2]
 RESOURCE = pytest.importorskip("resource", reason="limits of a process are those of POSIX")
 ENOUGH = """
-import resource, runpy, sys
+import resource
 size = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (size + {more}, size + {more}))
-sys.argv[0] = {script!r}
-sys.path.insert(0, {folder!r})
-runpy.run_path({script!r}, run_name="__main__")
 """
 
 
@@ -36,10 +33,8 @@ runpy.run_path({script!r}, run_name="__main__")
     ],
 )
 def test_a_command_that_wants_more_than_it_may_have_ends_in_one_line(tmp_path, more, words, key):
-    script = str(REPOSITORY / "scripts" / "train.py")
-    code = ENOUGH.format(more=more, script=script, folder=str(Path(script).parent))
     given = ("experiment=smoke", "env.substeps=1", "hydra.run.dir=run", *words)
-    done = forked.run([sys.executable, "-c", code, *given], cwd=tmp_path, timeout=500)
+    done = forked.run(forked.script("train", *given, before=ENOUGH.format(more=more)), cwd=tmp_path, timeout=500)
     lines = done.stderr.strip().splitlines()
     assert done.returncode == 2, done.stderr
     assert lines[-1].startswith("error: ") and key in lines[-1], done.stderr

@@ -9,7 +9,6 @@ import json
 import os
 import random
 import re
-import resource
 import shlex
 import signal
 import subprocess
@@ -17,6 +16,7 @@ import sys
 import time
 from pathlib import Path
 
+import forked
 import pytest
 import torch
 
@@ -85,46 +85,42 @@ def whole(tmp_path_factory, command):
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(MOMENTS))
 @pytest.mark.parametrize(("how", "name"), [("SIGKILL", "dyna"), ("SIGINT", "dyna"), ("SIGTERM", "default")])
-def test_a_run_stopped_at_a_random_moment_ends_as_the_one_that_was_not(
-    tmp_path, start, command, whole, how, name, number
-):
+def test_a_run_stopped_at_a_random_moment_ends_as_the_one_that_was_not(tmp_path, command, whole, how, name, number):
     expected, seconds = whole(name)
     moment = random.Random(f"{how} {name} {number}").uniform(0.0, 1.0)
     words, home = [*EXPERIMENTS[name], *SMALL, "hydra.run.dir=run"], tmp_path / "home"
-    running = start("train", *words, cwd=home)
+    home.mkdir()
+    running = forked.Running(forked.script("train", *words, before=forked.DRAWING_NOTHING), home)
     time.sleep(moment * seconds)
     running.send(getattr(signal, how))
     done = running.end()
-    stopped = done.code != 0  # it may have ended before
+    stopped = done.returncode != 0  # it may have ended before
     if stopped:
-        assert done.code == CODES[how], done
+        assert done.returncode == CODES[how], done
     if stopped and how != "SIGKILL":
-        assert "Traceback" not in done.err and "Exception ignored" not in done.err, done
-        assert len(re.findall(r"(?:^|[\r\n])stopped", done.err)) == 1, done
+        assert "Traceback" not in done.stderr and "Exception ignored" not in done.stderr, done
+        assert len(re.findall(r"(?:^|[\r\n])stopped", done.stderr)) == 1, done
     begun = (home / "run" / "config.yaml").is_file()
-    place = re.findall(r"up to the end of ([^:]*):", done.err)
+    place = re.findall(r"up to the end of ([^:]*):", done.stderr)
     again = command("train", *(["resume=run"] if begun else words), cwd=home)
     assert again.code == 0, again
     found = kept(home / "run")
     if file := os.environ.get("DYNASINDY_MOMENTS_CSV"):
-        row = [how, name, number, f"{moment:.3f}", int(stopped), done.code, *place[:1], int(found == expected)]
+        row = [how, name, number, f"{moment:.3f}", int(stopped), done.returncode, *place[:1], int(found == expected)]
         with Path(file).open("a") as table:
             csv.writer(table, lineterminator="\n").writerow(row)
     assert found == expected
 
 
-def test_a_full_disk_costs_one_line_and_no_good_checkpoint(tmp_path, start, command, whole):
+def test_a_full_disk_costs_one_line_and_no_good_checkpoint(tmp_path, command, whole):
     expected, _ = whole("dyna")
     words, home = [*EXPERIMENTS["dyna"], *SMALL, "hydra.run.dir=run"], tmp_path / "home"
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))  # as a full disk, larger files cannot be written
-    try:
-        running = start("train", *words, cwd=home)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    done = running.end()
-    assert done.code == 2 and "Traceback" not in done.err
-    last = done.err.splitlines()[-1]
+    home.mkdir()
+    # As on a full disk, larger files cannot be written.
+    full = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))"
+    done = forked.run(forked.script("train", *words, before=full + forked.DRAWING_NOTHING), cwd=home)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    last = done.stderr.splitlines()[-1]
     assert last.startswith("error: ") and "checkpoints/" in last, done
     again = command("train", "resume=run", cwd=home)
     assert again.code == 0 and kept(home / "run") == expected
@@ -146,7 +142,7 @@ class Fickle(Xi):
 
 def test_a_run_with_a_class_of_the_user_s_own_goes_on_by_the_command_that_is_printed(tmp_path, command, monkeypatch):
     (tmp_path / "fickle.py").write_text(FICKLE)
-    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), os.pathsep)
     words = [*EXPERIMENTS["default"], *SMALL, "system._target_=fickle.Fickle", "hydra.run.dir=run"]
     for name in ("whole", "parts"):
         (tmp_path / name).mkdir()

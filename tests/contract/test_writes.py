@@ -56,10 +56,7 @@ def run(tmp_path: Path) -> Path:
 
 def script(name: str, *words: str, cwd: Path, before: str = "", timeout: float = 300):
     """Run a command as a user does, after a line of Python of its own."""
-    path = str(REPOSITORY / "scripts" / f"{name}.py")
-    code = f"{before}\nimport runpy, sys; sys.argv[0] = {path!r}; sys.path.insert(0, {str(Path(path).parent)!r})"
-    code += f"\nrunpy.run_path({path!r}, run_name='__main__')"
-    return forked.run([sys.executable, "-c", code, *words], cwd=cwd, timeout=timeout)
+    return forked.run(forked.script(name, *words, before=before), cwd=cwd, timeout=timeout)
 
 
 def refused(done, path: Path | str) -> None:

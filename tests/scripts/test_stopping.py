@@ -1,6 +1,5 @@
 """A plan from a log that is stopped keeps its equations once it has them, and nothing before."""
 
-import os
 import shlex
 import sys
 from pathlib import Path
@@ -27,21 +26,15 @@ def stopped_at(phase, log, tmp_path):
     words += ["plant.known={theta: rate}", "plant.library=[rate,u,'sin(theta)']", "planning.rollouts=8", "folder=run"]
     words += ["world_model.refinement.method=trajectory"]
     stopper = f"""
-import os, runpy, signal, sys
-sys.path.insert(0, {str(ROOT / "scripts")!r})
-sys.argv = ["scripts/train.py", *{words!r}]
-import command
+import os, signal
 from dynasindy import progress
 def stop(what):
     if what.phase.startswith({phase!r}):
         progress._listeners.remove(stop)
         os.kill(os.getpid(), signal.SIGTERM)
 progress._listeners.append(stop)
-runpy.run_path({str(ROOT / "scripts" / "train.py")!r}, run_name="__main__")
 """
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-c", stopper]
-    done = forked.run(command, cwd=tmp_path, env=environment, timeout=300)
+    done = forked.run(forked.script("train", *words, before=stopper), cwd=tmp_path)
     return done.returncode, done.stderr.strip().splitlines()[-1]
 
 

@@ -22,6 +22,7 @@ import threading
 import time
 import types
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from importlib.machinery import PathFinder
 from multiprocessing import forkserver
@@ -32,6 +33,13 @@ from typing import Any
 import numpy as np
 from hydra.core.plugins import Plugins
 from hydra.core.singleton import Singleton
+
+ROOT = Path(__file__).resolve().parents[2]
+DRAWING_NOTHING = """
+import dynasindy.viz.run, matplotlib.figure
+dynasindy.viz.run.draw_run = matplotlib.figure.Figure.savefig = lambda *_, **__: None
+"""
+"""Figures are drawn from tables, and take as long as a small run."""
 
 
 @cache
@@ -58,6 +66,68 @@ def _installed() -> list[str]:
     return [place for place in json.loads(done.stdout) if place]
 
 
+def script(name: str, *words: str, before: str = "") -> list[str]:
+    """Return the command of a script of this repository, after lines of Python of its own."""
+    path = str(ROOT / "scripts" / f"{name}.py")
+    code = f"{before}\nimport runpy, sys; sys.argv[0] = {path!r}; sys.path.insert(0, {str(Path(path).parent)!r})"
+    return [sys.executable, "-c", f"{code}\nrunpy.run_path({path!r}, run_name='__main__')", *words]
+
+
+class Running:
+    """A command that runs in a fork of the server: Python with a script, `-m` or `-c`.
+
+    Raises:
+        ValueError: The command is another one.
+    """
+
+    def __init__(
+        self, command: Sequence[str | Path], cwd: str | Path | None = None, env: Mapping[str, str] | None = None
+    ) -> None:
+        python, *words = (str(word) for word in command)
+        if python != sys.executable or not (words[0] in ("-m", "-c") or words[0].endswith(".py")):
+            raise ValueError(f"{command} is not Python with a script, -m or -c; use subprocess.run")
+        pipes = [multiprocessing.Pipe(duplex=False) for _ in range(2)]
+        given = (words, Path(cwd or Path.cwd()).resolve(), dict(os.environ if env is None else env), _installed())
+        self.process = _server().Process(target=_command, args=(*given, [writer for _, writer in pipes]))
+        self.process.start()
+        for _, writer in pipes:
+            writer.close()  # or its other end would wait for this one
+        self.command, self.said = [*command], [list[bytes](), list[bytes]()]
+        pairs = zip((reader for reader, _ in pipes), self.said, strict=True)
+        self.threads = [threading.Thread(target=_listen, args=pair, daemon=True) for pair in pairs]
+        for thread in self.threads:
+            thread.start()
+
+    def send(self, number: int) -> None:
+        """Send a signal to the command, unless it has ended."""
+        with suppress(ProcessLookupError):
+            os.kill(self.process.pid, number)  # type: ignore[arg-type]
+
+    def end(self, timeout: float = 300) -> subprocess.CompletedProcess[str]:
+        """Wait for its end, and that of what it has started.
+
+        Raises:
+            subprocess.TimeoutExpired: It takes longer than `timeout` [s].
+        """
+        deadline = time.monotonic() + timeout
+        try:
+            for thread in self.threads:
+                thread.join(max(0.0, deadline - time.monotonic()))
+            out, err = (b"".join(pieces) for pieces in self.said)
+            if any(thread.is_alive() for thread in self.threads):
+                raise subprocess.TimeoutExpired(self.command, timeout, output=out, stderr=err)
+            self.process.join()
+        except BaseException:  # a test that is stopped leaves no command behind
+            self.process.kill()
+            raise
+        return subprocess.CompletedProcess(self.command, self.process.exitcode or 0, out.decode(), err.decode())
+
+
+def _listen(reader: Connection, pieces: list[bytes]) -> None:
+    while piece := os.read(reader.fileno(), 65536):
+        pieces.append(piece)
+
+
 def run(
     command: Sequence[str | Path],
     *,
@@ -66,55 +136,20 @@ def run(
     timeout: float = 300,
     check: bool = False,
 ) -> subprocess.CompletedProcess[str]:
-    """Do what `subprocess.run(..., capture_output=True, text=True)` does with Python: a script, `-m` or `-c`.
+    """Do what `subprocess.run(..., capture_output=True, text=True)` does with a command that `Running` takes.
 
     Raises:
         ValueError: The command is another one.
         subprocess.TimeoutExpired: It, or what it has started, takes longer than `timeout` [s].
         subprocess.CalledProcessError: It fails, and `check` is true.
     """
-    python, *words = (str(word) for word in command)
-    if python != sys.executable or not (words[0] in ("-m", "-c") or words[0].endswith(".py")):
-        raise ValueError(f"{command} is not Python with a script, -m or -c; use subprocess.run")
-    folder = Path(cwd or Path.cwd()).resolve()
-    environment = dict(os.environ if env is None else env)
     if "forkserver" not in multiprocessing.get_all_start_methods():  # as on Windows
-        more: dict[str, Any] = {"cwd": folder, "env": environment, "timeout": timeout, "check": check}
-        return subprocess.run([python, *words], capture_output=True, text=True, **more)
-    pipes = [multiprocessing.Pipe(duplex=False) for _ in range(2)]
-    given = (words, folder, environment, _installed(), [writer for _, writer in pipes])
-    process = _server().Process(target=_command, args=given)
-    try:
-        process.start()
-        for _, writer in pipes:
-            writer.close()  # or its other end would wait for this one
-        ended, (out, err) = _heard([reader for reader, _ in pipes], time.monotonic() + timeout)
-        if not ended:
-            raise subprocess.TimeoutExpired(list(command), timeout, output=out.encode(), stderr=err.encode())
-        process.join()
-    except BaseException:  # a test that is stopped leaves no command behind
-        process.kill()
-        raise
-    done = subprocess.CompletedProcess(list(command), process.exitcode, out, err)
+        more: dict[str, Any] = {"cwd": cwd, "env": env, "timeout": timeout, "check": check}
+        return subprocess.run([*command], capture_output=True, text=True, **more)
+    done = Running(command, cwd, env).end(timeout)
     if check:
         done.check_returncode()
     return done
-
-
-def _heard(readers: list[Connection], deadline: float) -> tuple[bool, list[str]]:
-    """Return whether all writers of some pipes are gone before a deadline, and what each pipe has brought."""
-    said: list[list[bytes]] = [[] for _ in readers]
-
-    def _listen(reader: Connection, pieces: list[bytes]) -> None:
-        while piece := os.read(reader.fileno(), 65536):
-            pieces.append(piece)
-
-    threads = [threading.Thread(target=_listen, args=pair, daemon=True) for pair in zip(readers, said, strict=True)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(max(0.0, deadline - time.monotonic()))
-    return not any(thread.is_alive() for thread in threads), [b"".join(pieces).decode() for pieces in said]
 
 
 def _command(
@@ -122,6 +157,7 @@ def _command(
 ) -> None:
     """Become the process of a command, in a fork of the server."""
     os.chdir(folder)
+    known = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     os.environ.clear()
     os.environ.update(environment)
     for number, writer in enumerate(writers, 1):
@@ -135,7 +171,7 @@ def _command(
     more = [place for place in environment.get("PYTHONPATH", "").split(os.pathsep) if place]
     first = {"-m": str(folder), "-c": ""}.get(words[0], str(Path(words[0]).resolve().parent))
     sys.path[:] = [first, *more, *installed]
-    if more:
+    if not {*more} <= {*known}:
         Singleton._instances.pop(Plugins, None)  # Hydra looks for plug-ins once, and there may be others
     _forget_other_copies()
     sys.exit(_done(words))
