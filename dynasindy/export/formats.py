@@ -5,6 +5,7 @@ SymPy expressions are in `dynasindy.sindy.pysindy_interchange.to_sympy`.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -34,16 +35,29 @@ def casadi_source(model: SindyModel) -> str:
     )
 
 
+WORD = re.compile(r"(?<![\\A-Za-z])[A-Za-z][A-Za-z0-9 ]*[A-Za-z0-9]")
+"""A word in LaTeX that is no command."""
+
+
 def latex_source(model: SindyModel) -> str:
     """Write the equations of a model as LaTeX, for a document with amsmath, numbers of five digits."""
-    from sympy import Symbol, latex, multiline_latex
+    from sympy import Float, Integer, Symbol, latex, multiline_latex
 
     lines = [f"% Inputs act {model.delay!r} s after they are given."] if model.delay else []
     for state, right in to_sympy(model).items():
-        name = latex(Symbol(state))
+        # In italics the letters of a word would stand for a product.
+        names = {each: WORD.sub(_upright, latex(each)) for each in (Symbol(state), *right.free_symbols)}
+        shown = {each: Symbol(name) for each, name in names.items()}
+        right = right.evalf(5)
+        shown |= {each: Integer(each) for each in right.atoms(Float) if float(each).is_integer()}
+        name = names[Symbol(state)]
         left = Symbol(rf"\dot{{{name}}}" if model.step is None else f"{{{name}}}[k+1]")
-        lines.append(multiline_latex(left, right.evalf(5), 3, "align*"))
+        lines.append(multiline_latex(left, right.xreplace(shown), 3, "align*"))
     return "\n".join(lines) + "\n"
+
+
+def _upright(word: re.Match[str]) -> str:
+    return rf"\operatorname{{{word[0]}}}".replace(" ", r"\ ")
 
 
 def field_of(model: SindyModel, calls: Mapping[str, Any]) -> Callable[[Any, Any], list[Any]]:
