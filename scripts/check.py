@@ -16,9 +16,10 @@ def main(cfg: Any) -> None:
     from dynasindy.checking import ClosedLoop, Settings, check, check_verdict
     from dynasindy.checking.verdict import check_record, unstable_targets
     from dynasindy.export.write import read
+    from dynasindy.findings import Finding
     from dynasindy.progress import say
-    from dynasindy.safe_io import add_to_json, output_folder, reading, write_json
-    from dynasindy.sentences import check_lines
+    from dynasindy.safe_io import add_to_json, output_folder, read_json, reading, write_json
+    from dynasindy.sentences import check_lines, lines
     from dynasindy.viz.check import draw_check
     from dynasindy.viz.style import save_figures
 
@@ -45,7 +46,10 @@ def main(cfg: Any) -> None:
         add_to_json(metrics, "check", {"stable": bool(found.stable.all()), "findings": record["findings"], **ends})
     write_json(folder / "check.json", record)
     save_figures(draw_check(found), folder, cfg.formats)
-    say("What the model predicts; the plant was not asked.", *check_lines(check_verdict(found)), f"Files: {folder}")
+    told = read_json(run / "metrics.json").get("findings", ()) if (run / "metrics.json").is_file() else ()
+    doubts = lines(Finding.from_record(each) for each in told if each["code"] == "model.unexplained")
+    verdict = check_lines(check_verdict(found))
+    say("What the model predicts; the plant was not asked.", *doubts, *verdict, f"Files: {folder}")
     if bool(unstable_targets(found).any()):
         sys.exit(1)
 

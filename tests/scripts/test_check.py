@@ -12,6 +12,7 @@ import torch
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, save
 from dynasindy.control.controller import ControlSetup
+from dynasindy.findings import note, records, weak
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
 from dynasindy.tasks import Step, Tracking, TrackingReward
@@ -56,11 +57,14 @@ def test_the_main_figures_join_what_the_run_has_written_and_leave_it_as_it_is(tm
     """A spring and a damper alone bear any gain of an input that hardly acts: no margin ends them."""
     run_folder(tmp_path / "run", 2.0)
     (tmp_path / "run" / "config.yaml").write_text("plant: {low: [-0.1], high: [0.1]}\n")
-    before, kept = {"episodes": 3, "verdict": {"usable": True}, "cost": None}, tmp_path / "run" / "metrics.json"
+    lacking = records([weak("model.unexplained", shares={"v": 0.2}), note("model.delay", seconds=0.1)])
+    before = {"episodes": 3, "verdict": {"usable": True}, "cost": None, "findings": lacking}
+    kept = tmp_path / "run" / "metrics.json"
     kept.write_text(json.dumps(before))
     os.utime(kept, (1e9, 1e9))
     done = called(tmp_path, *SMALL)
     assert done.returncode == 0, done.stderr
+    assert "warning: " in done.stdout and "20 % in v" in done.stdout  # which no simulation of the model tells
     after = json.loads(kept.read_text())
     told = after.pop("check")
     assert after == before and kept.stat().st_mtime == 1e9  # evaluations made since are none of an older run
