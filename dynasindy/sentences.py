@@ -309,7 +309,13 @@ def _tracked(
             parts.append(
                 f"not tracked, and {fate} in up to {_percent(max(shares.values()))} of the runs: {_few(shares)}"
             )
-    parts += [_track_rates(rates, targets)] if targets else []
+    if targets:
+        low, high = ([*(ends[k] for ends in targets.values()), *(0.0 for _ in rates)] for k in (0, 1))
+        names = [*targets, *rates]
+        words = [setting("plant.outputs", names), setting("plant.low", low), setting("plant.high", high)]
+        if not _words_of_commands:
+            words = [setting("plan.task", dict(zip(names, zip(low, high, strict=True), strict=True)))]
+        parts += [f"it helps to track {' and '.join(rates)} as well, which are 0 at rest: {' '.join(words)}"]
     parts += [f"still ringing, decaying: {_few(ringing)}"] if ringing else []
     parts += [f"running on, which nothing depends on: {_few(idle)}"] if idle else []
     return "; ".join(parts)
@@ -320,16 +326,6 @@ def _few(names: Iterable[str]) -> str:
     first = [*names]
     more = len(first) - FEW
     return ", ".join(first) if more <= 1 else f"{', '.join(first[:FEW])} and {more} more"
-
-
-def _track_rates(rates: Sequence[str], targets: Mapping[str, Sequence[float]]) -> str:
-    """Say how to track rates, which are zero at rest, beside the outputs with their targets."""
-    low, high = ([*(ends[k] for ends in targets.values()), *(0.0 for _ in rates)] for k in (0, 1))
-    names = [*targets, *rates]
-    words = [setting("plant.outputs", names), setting("plant.low", low), setting("plant.high", high)]
-    if not _words_of_commands:
-        words = [setting("plan.task", dict(zip(names, zip(low, high, strict=True), strict=True)))]
-    return f"it helps to track {' and '.join(rates)} as well, which are 0 at rest: {' '.join(words)}"
 
 
 def _percent(share: float) -> str:

@@ -224,7 +224,11 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         raise ValueError(f"give low and high a number for each of {', '.join(loop.task.output_names)}")
     seconds = settings.seconds or PERIODS * loop.dt
     settings, targets = replace(settings, seconds=seconds), settings.targets
-    rest, begin = find_rest(loop, targets, seconds=seconds), _begin(loop, settings)
+    rest = find_rest(loop, targets, seconds=seconds)
+    begin = ranges.start_ranges(loop.signature, settings.start).double().mean(0)
+    low, high = ranges.state_limits(loop.signature, settings.bounds)
+    if not settings.start and not bool(((low <= 0) & (high >= 0)).all()):
+        begin = guess_rest(loop, settings.ends.mean(0, keepdim=True))[0, loop.parts["x"]]
     good, farthest = rest.stable, int((targets - begin[loop.task.outputs]).square().sum(-1).argmax())
     rows = [rest.linear.row(k).decaying() if ok else None for k, ok in enumerate(good.tolist())]
     margins = [loop_margins(row) if row else [] for row in track("margins", rows, len(rows), "targets")]
@@ -254,15 +258,6 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         _recovery(loop, settings, targets, rest, seconds),
         _limit_cycles(loop, targets, ~good, seconds, begin),
     )
-
-
-def _begin(loop: ClosedLoop, settings: Settings) -> Tensor:
-    """Return the state in which steps begin, `(n_x,)`."""
-    ends = ranges.start_ranges(loop.signature, settings.start).double()
-    low, high = ranges.state_limits(loop.signature, settings.bounds)
-    if settings.start or bool(((low <= 0) & (high >= 0)).all()):
-        return ends.mean(0)
-    return guess_rest(loop, settings.ends.mean(0, keepdim=True))[0, loop.parts["x"]]
 
 
 def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: RestingLoop, seconds: float) -> list[Plane]:

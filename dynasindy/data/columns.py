@@ -309,7 +309,10 @@ def _dependent(
     if not names or x.shape[1] < 100:
         return {}
     count, width, own = len(names), len(x), len(x) - len(inputs)
-    shifted, noisy = _shifted(before[:count], x[:count]), _noisy(before, x, count, own)
+    noisy, mine = _noisy(before, x, count, own), (before[:count], x[:count])
+    moves = (mine[0] != mine[1]).mean(1) > 0.9  # another episode may begin now and then
+    both = (mine, mine[::-1])
+    shifted = [k for k in range(count) if moves[k] and any(((a[:k] == b[k]).mean(1) > 0.9).any() for a, b in both)]
     pairs = np.array([*combinations_with_replacement(range(width * (width <= WIDEST)), 2)], int).reshape(-1, 2).T
     low, high = np.append(np.tile(np.arange(width), (2, 1)), pairs, 1)  # columns of each term
     plain, driven, referred = np.arange(len(high)) < width, high >= own, high >= count
@@ -353,12 +356,6 @@ def _dependent(
 
     out = {"shifted": shifted, "derived": sorted(found - {*shifted}), "noise": noisy}
     return {reason: [names[k] for k in places] for reason, places in out.items()}
-
-
-def _shifted(before: Array, x: Array) -> list[int]:
-    """Return which of columns `(n, rows)` hold one above them a row earlier or later; `before` is a row earlier."""
-    moves, both = (before != x).mean(1) > 0.9, ((before, x), (x, before))  # another episode may begin now and then
-    return [k for k in range(len(x)) if moves[k] and any(((a[:k] == b[k]).mean(1) > 0.9).any() for a, b in both)]
 
 
 def _noisy(before: Array, x: Array, count: int, own: int) -> list[int]:

@@ -35,13 +35,6 @@ FACTORS = (180 / math.pi, math.pi / 180, RPM, 6.0, 1 / 60, 2 * math.pi, 0.5 / ma
 """Factors between the slope of a state and its rate that units make: degrees, turns, minutes, and parts of a unit."""
 
 
-def _exact_factor(factor: float) -> float:
-    """Return the factor that units make and that is within 5 % of one that a log tells, else three digits of it."""
-    near = min(FACTORS, key=lambda known: abs(math.log(abs(factor) / known)))
-    told = abs(math.log(abs(factor) / near)) < 0.05
-    return math.copysign(near, factor) if told else float(f"{factor:.3g}")
-
-
 def _unit_of_rate(unit: str) -> str:
     """Return the unit of the rate of a state, per second."""
     return "1/s" if unit == "-" else f"{unit}/s"
@@ -127,7 +120,11 @@ def require_consistent_rates(
         if each.code != "log.rate_units" or known.get(state) != rate or 1 / CLEAR < each.values["factor"] < CLEAR:
             continue
         unit, column = signature.state_units[signature.state_index(state)], columns[rate]
-        scale = _exact_factor(each.values["factor"]) * column.scale
+        # The factor that units make and that is within 5 % of the one that the log tells, else three digits of it.
+        factor = each.values["factor"]
+        near = min(FACTORS, key=lambda known: abs(math.log(abs(factor) / known)))
+        close = abs(math.log(abs(factor) / near)) < 0.05
+        scale = (math.copysign(near, factor) if close else float(f"{factor:.3g}")) * column.scale
         mended = {**columns, rate: replace(column, unit=_unit_of_rate(unit), scale=scale)}
         allowed = f"the unit of {state} per second" if unit == "-" else _unit_of_rate(unit)
         from dynasindy.data.columns import as_map  # with pandas, which data of a simulation do without

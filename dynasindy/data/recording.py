@@ -187,11 +187,18 @@ class LogReader:
             said += (each for name, column in x.items() for each in _jumps(name, column, t, u, usable))
             full = np.stack([x.get(name, np.full(len(t), np.nan)) for name in states], -1)
             sizes = np.maximum(sizes, np.abs(np.nan_to_num(full)).max(0, initial=0.0))
-            pieces.append(_transitions(full, u, segment, usable, dt))
+            whole = torch.from_numpy((segment[1:] == segment[:-1]) & usable[1:] & usable[:-1])
+            states_, inputs_ = (torch.from_numpy(np.ascontiguousarray(each)) for each in (full, u))
+            labels = torch.from_numpy(segment[:-1].astype(np.int64))
+            pieces.append(Transitions(states_[:-1], inputs_[:-1], states_[1:], dt, labels).select(whole))
             findings += self._of_file(part.path, said)
         data = pieces[0] if len(pieces) == 1 else Transitions.cat(pieces)
         findings += (note("log.unmeasured", state=name) for name in states if name not in parts[0].x)
-        self._require_enough(data, states, findings)
+        samples = dict(zip(states, data.x_next.isfinite().sum(0).tolist(), strict=True))
+        few: list[dict[str, Any]] = [{"count": len(data)}] if len(data) < LEAST else []
+        if few := few + [{"count": n, "state": s} for s, n in samples.items() if states[s].name and n < LEAST]:
+            left_out = [each for each in findings if each.code != "log.time"]
+            raise LogError("log.too_few", path=str(self), least=LEAST, left_out=left_out, **few[0])
         units = tuple(c.unit for c in states.values())
         most = dict(zip(states, sizes.tolist(), strict=True))
         if tiny := [name for name, size in most.items() if 0 < size < 1e-19]:
@@ -287,15 +294,6 @@ class LogReader:
         u = np.stack([columns[c.name] * c.scale for c in inputs.values()], -1)
         said += self._of_file(path, [*of_time, *findings])
         return _Part(path, states, inputs, t, x, u)
-
-    def _require_enough(self, data: Transitions, states: Mapping[str, Column], findings: Sequence[Finding]) -> None:
-        """Refuse recordings of too few transitions, or with too few samples of a state that has a column."""
-        samples = dict(zip(states, data.x_next.isfinite().sum(0).tolist(), strict=True))
-        few: list[dict[str, Any]] = [{"count": len(data)}] if len(data) < LEAST else []
-        few += [{"count": n, "state": s} for s, n in samples.items() if states[s].name and n < LEAST]
-        if few:
-            left_out = [each for each in findings if each.code != "log.time"]
-            raise LogError("log.too_few", path=str(self), least=LEAST, left_out=left_out, **few[0])
 
 
 def _with_times(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> tuple[pd.DataFrame, NDArray[np.bool_]]:
@@ -567,14 +565,6 @@ def _is_stop(value: Array, first: int, last: int) -> bool:
     step = steps[steps > 1e-9 * np.ptp(value)].min()  # others are of rounding
     neighbours = [k for k in (first - beside, last - 1 + beside) if 0 <= k < len(value)]
     return bool((np.abs(value[neighbours] - value[first]) > 2.5 * step).any())
-
-
-def _transitions(x: Array, u: Array, segment: NDArray[np.int64], usable: NDArray[np.bool_], dt: float) -> Transitions:
-    follows = segment[1:] == segment[:-1]
-    whole = torch.from_numpy(follows & usable[1:] & usable[:-1])
-    states, inputs = torch.from_numpy(np.ascontiguousarray(x)), torch.from_numpy(np.ascontiguousarray(u))
-    data = Transitions(states[:-1], inputs[:-1], states[1:], dt, torch.from_numpy(segment[:-1].astype(np.int64)))
-    return data.select(whole)
 
 
 def _columns_of(group: Mapping[str, Any], states: bool) -> dict[str, Column]:

@@ -59,7 +59,13 @@ def resample(
         if len(t[rows]) < FEWEST:
             continue
         grid = np.arange(t[rows][0], t[rows][-1] + 1e-9 * dt, dt)
-        means = _means(t[rows], u[rows], grid, dt)
+        # The mean of held inputs over each even step, that of the last one up to the last sample.
+        at, held = t[rows], u[rows]
+        moved = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(held[:-1] * np.diff(at)[:, None], 0)])
+        ends = np.minimum(np.append(grid, grid[-1] + dt), at[-1])
+        sums, widths = np.stack([np.interp(ends, at, column) for column in moved.T], -1), np.diff(ends)[:, None]
+        held = held[np.searchsorted(at, grid + 1e-6 * dt, side="right") - 1]
+        means = np.where(widths > 1e-6 * dt, np.diff(sums, axis=0) / np.maximum(widths, 1e-6 * dt), held)
         jumps = (np.abs(np.diff(u[rows], axis=0)) > JUMP * wide).any(-1)
         parts.append((grid, _between_jumps(t[rows], states[rows], jumps, grid), means, np.full(len(grid), label)))
     if not parts:
@@ -94,13 +100,3 @@ def _measured_between(t: Array, column: Array, jumps: NDArray[np.bool_], grid: A
     values = _between_jumps(t, column[measured, None], np.diff(steps[measured]) > 0, grid)[:, 0]
     off = np.abs(t[np.searchsorted(0.5 * (t[1:] + t[:-1]), grid)] - grid)
     return np.where(off > 0.5001 * np.ptp(grid) / max(len(grid) - 1, 1), np.nan, values)
-
-
-def _means(t: Array, u: Array, grid: Array, dt: float) -> Array:
-    """Return the mean of held inputs over each even step, `(n, n_u)`, that of the last one up to the last sample."""
-    moved = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * np.diff(t)[:, None], 0)])
-    ends = np.minimum(np.append(grid, grid[-1] + dt), t[-1])
-    sums = np.stack([np.interp(ends, t, column) for column in moved.T], -1)
-    widths = np.diff(ends)[:, None]
-    held = u[np.searchsorted(t, grid + 1e-6 * dt, side="right") - 1]
-    return np.where(widths > 1e-6 * dt, np.diff(sums, axis=0) / np.maximum(widths, 1e-6 * dt), held)

@@ -234,7 +234,11 @@ def forecast_errors(
     length = _length(model, training, fit, [k for k in usual if k <= middle])
     predicted = predict_from(model, validation, starting_states(model, validation, starts, length), later)
     linear = LinearModel.fit(training, middle, fit)
-    held = _last_seen(validation)[starts].unsqueeze(1).expand_as(real)
+    # The last value of each state that was measured in its segment until a start.
+    places, x = torch.arange(len(validation)), validation.x
+    seen, first = torch.where(x.isnan(), -1, places.unsqueeze(-1)).cummax(0).values, places - _beside(validation)[0]
+    held = torch.where(seen >= first.unsqueeze(-1), x.gather(0, seen.clamp_min(0)), math.nan)[starts]
+    held = held.unsqueeze(1).expand_as(real)
     both = (predicted, linear.predict(validation, starts, later), held)
     ours, simple, last = (errors_over(guess, real, steps) for guess in both)
     return ForecastErrors(
@@ -254,7 +258,12 @@ def _horizons(model: SindyModel, data: Transitions, time: float) -> list[float]:
     x = reconstruct(data, rate_states(model.library, model.constraints)).x.double().nanmedian(0).values
     measured = [i for i, blind in enumerate(data.x.isnan().all(0).tolist()) if not blind]
     fastest = LocalModes(model, x.nan_to_num(0.0), data.u.double().median(0).values, measured).time_constant
-    return _series(max(data.dt, min(time / 10, fastest / 2)), 3 * time)
+    low, high = max(data.dt, min(time / 10, fastest / 2)), 3 * time
+    # 1, 2, 5, 10 ... of seconds, from 10000 s on of hours.
+    decades = range(math.floor(math.log10(low / HOUR)), math.ceil(math.log10(high)) + 1)
+    series = [n * 10.0**k for k in decades for n in (1, 2, 5)]
+    times = [n for n in series if n < MANY] + [HOUR * n for n in series if HOUR * n >= MANY]
+    return [each for each in times if low <= each <= high]
 
 
 def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[int]) -> int:
@@ -372,7 +381,9 @@ def estimate(model: SindyModel, data: Transitions, rows: Tensor, length: int) ->
     damping = torch.full((len(rows),), 1e-3, dtype=torch.float64)
     path = torch.cat([x.unsqueeze(1), _simulated(model, x, inputs, data.dt)], 1)
     for _ in range(8):
-        sigma = _rms(path, measured, mask).clamp_min(1e-9 * scale)
+        kept = path.isfinite().all(-1).all(-1)  # those that do not run away
+        squares = torch.where(mask, measured - path, 0.0)[kept].square().sum((0, 1))
+        sigma = (squares / mask[kept].sum((0, 1)).clamp_min(1)).sqrt().clamp_min(1e-9 * scale)
         nudged = x + NUDGE * torch.diag(scale).unsqueeze(1)
         moved = _simulated(model, nudged, inputs, data.dt)
         slopes = (torch.cat([nudged.unsqueeze(2), moved], 2) - path) / NUDGE  # by each state [its range]
@@ -414,13 +425,6 @@ def with_start_states(model: SindyModel, data: Transitions) -> Transitions:
     return replace(late, x=x)
 
 
-def _rms(path: Tensor, measured: Tensor, mask: Tensor) -> Tensor:
-    """Return the error of each state over the fits that do not run away, `(n_x,)`."""
-    sound = path.isfinite().all(-1).all(-1)
-    error = torch.where(mask, measured - path, 0.0)[sound]
-    return (error.square().sum((0, 1)) / mask[sound].sum((0, 1)).clamp_min(1)).sqrt()
-
-
 def _simulated(model: SindyModel, x: Tensor, inputs: tuple[Tensor, Tensor | None], dt: float) -> Tensor:
     """Predict states after each interval, `(*batch, T, n_x)`, under inputs at both ends of each."""
     wide = (*x.shape[:-1], *inputs[0].shape[-2:])
@@ -437,23 +441,8 @@ def errors_over(predicted: Tensor, real: Tensor, steps: Sequence[int]) -> Tensor
     return (squared.nansum(0).cumsum(0)[last] / counts).sqrt()
 
 
-def _last_seen(data: Transitions) -> Tensor:
-    """Return the last value of each state that was measured in its segment until each row, `(N, n_x)`."""
-    places, first = torch.arange(len(data)), torch.arange(len(data)) - _beside(data)[0]
-    last = torch.where(data.x.isnan(), -1, places.unsqueeze(-1)).cummax(0).values
-    return torch.where(last >= first.unsqueeze(-1), data.x.gather(0, last.clamp_min(0)), math.nan)
-
-
 def _beside(data: Transitions) -> tuple[Tensor, Tensor]:
     """Return how many rows of its segment come before each row, and how many from it on, `(N,)` both."""
     label = data.begins().long().cumsum(0) - 1
     back = torch.arange(len(data)) - data.segment_starts()
     return back, torch.bincount(label)[label] - back
-
-
-def _series(low: float, high: float) -> list[float]:
-    """Return the numbers 1, 2, 5, 10 ... between two times [s]: of seconds, from 10000 s on of hours."""
-    decades = range(math.floor(math.log10(low / HOUR)), math.ceil(math.log10(high)) + 1)
-    series = [n * 10.0**k for k in decades for n in (1, 2, 5)]
-    times = [n for n in series if n < MANY] + [HOUR * n for n in series if HOUR * n >= MANY]
-    return [time for time in times if low <= time <= high]

@@ -408,7 +408,12 @@ class _Search:
             self._linear(*structure)
         linear = sorted((each for each in self.tried if each.structure is not None), key=lambda each: each.score)
         if linear:
-            linear[0] = self._with_linear_inputs(linear[0])
+            of = linear[0]
+            training, validation = (part.with_linear_inputs() for part in (of.source.training, of.source.validation))
+            source = replace(of.source, training=training, validation=validation)
+            what, models = f"{of.what}, inputs that move evenly", [_warm_started(model) for model in of.models]
+            tried = self._fit(what, models, source, self._settings(select=False), of.structure)
+            linear[0] = _better(of, tried)
             self._select(linear[0])
             behind = self.best.score > 0
             if behind and (lagging := self._with_lag_states(linear[0])) is not linear[0]:
@@ -424,20 +429,16 @@ class _Search:
             self._with_larger_library()
             before = self.best
             has_new_state = self._with_lag_states(before) is not before
-        self._lengthen()
+        leaders = dict[object, Candidate]()
+        for each in sorted(self._near(self.tried), key=lambda each: each.score) if self.tried else ():
+            leaders.setdefault(each.equations, each)
+        for each in list(leaders.values())[:LEADERS]:  # over longer windows
+            self._windows(each)
         if has_new_state:
             before = self.best
             self._with_larger_library()
             if self.best is not before:
                 self._windows(self.best)
-
-    def _lengthen(self) -> None:
-        """Simulate the best models over longer windows."""
-        leaders = dict[object, Candidate]()
-        for each in sorted(self._near(self.tried), key=lambda each: each.score) if self.tried else ():
-            leaders.setdefault(each.equations, each)
-        for each in list(leaders.values())[:LEADERS]:
-            self._windows(each)
 
     def _near(self, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Return those that are not hopelessly behind the best one."""
@@ -556,13 +557,6 @@ class _Search:
         begun = [_linear_start(plain, source.training.select(fold.fit_rows()), delay) for fold in self.folds]
         names, settings = ", ".join(source.signature.state_names), self._settings(select=False)
         self._fit(f"linear equations of {names}", begun, source, settings, model)
-
-    def _with_linear_inputs(self, of: Candidate) -> Candidate:
-        """Try inputs that move in straight lines between samples, and return the better one."""
-        training, validation = (part.with_linear_inputs() for part in (of.source.training, of.source.validation))
-        source = replace(of.source, training=training, validation=validation)
-        what, models = f"{of.what}, inputs that move evenly", [_warm_started(model) for model in of.models]
-        return _better(of, self._fit(what, models, source, self._settings(select=False), of.structure))
 
     def _with_lag_states(self, of: Candidate) -> Candidate:
         """Try states that no sensor sees and that follow a signal, one after the other, and return the best one."""

@@ -63,8 +63,13 @@ def resolutions(data: Transitions, model: SindyModel | None = None) -> Tensor:
         data: the recording.
         model: a model that was fitted to it.
     """
-    found, unforeseen = [], _unforeseen(data).tolist()
-    for column, left in zip(samples_of(data), unforeseen, strict=True):
+    whole = ~(data.x.isnan().any(0) | data.x_next.isnan().any(0))
+    unforeseen = torch.full((len(whole),), math.nan, dtype=torch.float64)
+    each = (torch.arange(len(whole)) == i for i in (~whole).nonzero().flatten().tolist())
+    for mine in (*([whole] if bool(whole.any()) else []), *each):
+        unforeseen[mine] = _left_by_past(data, torch.cat([data.x[:, mine | whole], data.u], -1).double(), mine)
+    found = []
+    for column, left in zip(samples_of(data), unforeseen.tolist(), strict=True):
         noise = float(np.fmin(_noise(column), left))
         found.append(sensor_resolution(column, noise) or noise)
     if model is None or model.step is None:
@@ -73,16 +78,6 @@ def resolutions(data: Transitions, model: SindyModel | None = None) -> Tensor:
     with torch.no_grad():
         left = model.predict(late.x, late.u, late.dt) - late.x_next
     return torch.tensor(found).fmin(left.square().nanmean(0).sqrt())
-
-
-def _unforeseen(data: Transitions) -> Tensor:
-    """Return what past samples leave over of the next one of each state, as noise does, `(n_x,)`; NaN of none."""
-    whole = ~(data.x.isnan().any(0) | data.x_next.isnan().any(0))
-    found = torch.full((len(whole),), math.nan, dtype=torch.float64)
-    each = (torch.arange(len(whole)) == i for i in (~whole).nonzero().flatten().tolist())
-    for mine in (*([whole] if bool(whole.any()) else []), *each):
-        found[mine] = _left_by_past(data, torch.cat([data.x[:, mine | whole], data.u], -1).double(), mine)
-    return found
 
 
 def _left_by_past(data: Transitions, both: Tensor, states: Tensor) -> Tensor:
@@ -135,14 +130,6 @@ def sensor_resolution(column: Array, noise: float | None = None) -> float:
     return step if whole.mean() > 0.99 and step > 1.5 * noise else 0.0
 
 
-def _coarse_resolution(column: Array) -> float:
-    """Return the step in which a sensor reads, also where `sensor_resolution` sees it too seldom; 0 if none."""
-    known = np.concatenate(stretches_of(column))
-    levels, times = np.unique(known[~np.isnan(known)], return_counts=True)
-    few = 1 < len(levels) <= SEVERAL and np.median(times) >= AGAIN
-    return sensor_resolution(column) or (float(np.diff(levels).min()) if few else 0.0)
-
-
 def _noise(column: Array) -> float:
     """Return the standard deviation of what no local cubic follows; NaN where nothing was measured."""
     known = interpolate_gaps(column)
@@ -163,7 +150,12 @@ def low_signal_states(data: Transitions, but: Collection[int] = ()) -> dict[int,
     """
     moved = {}
     for place, column in enumerate(_all_samples_of(data)):
-        step = 0.0 if place in but else _coarse_resolution(column)
+        if place in but:
+            continue
+        known = np.concatenate(stretches_of(column))
+        levels, times = np.unique(known[~np.isnan(known)], return_counts=True)
+        few = 1 < len(levels) <= SEVERAL and np.median(times) >= AGAIN  # which `sensor_resolution` sees too seldom
+        step = sensor_resolution(column) or (float(np.diff(levels).min()) if few else 0.0)
         if step and (steps := float(np.nanmax(column) - np.nanmin(column)) / step) < FEW:
             moved[place] = steps
     return moved

@@ -310,17 +310,11 @@ def equation_findings(model: SindyModel, report: FitReport | None = None) -> lis
     for i, (name, size) in enumerate(zip(model.signature.state_names, model.signature.x_scale, strict=True)):
         against = model.coefficients[:, i] < 0
         told = against if resolved is None else against & (resolved[:, i] > TOLD)
-        if any(_is_dry(feature, name, size) for feature in _used(model.library.features, told)):
+        factors = [factor for feature in _used(model.library.features, told) for factor in feature.factors]
+        # What bends only at the range of a rate, and does not oppose all but the lowest alike, is a drag.
+        if any(f.function == "tanh" and name in f.variables and f.frequency * size >= FULL for f in factors):
             findings.append(note("model.dry_friction", state=name))
     return findings
-
-
-def _is_dry(feature: Feature, rate: str, size: float) -> bool:
-    """Tell what opposes a rate alike at any speed but the lowest; what bends only at the range of it is a drag."""
-    return any(
-        factor.function == "tanh" and rate in factor.variables and factor.frequency * size >= FULL
-        for factor in feature.factors
-    )
 
 
 def idle_states(model: SindyModel, data: Transitions) -> list[Finding]:

@@ -123,18 +123,15 @@ def choose_plan_settings(env: ControlEnv, rests: Equilibria | None, finest: int 
         slowest = regulator.slowest
         window = max(2 * WINDOW, min(WINDOW * round(TIME_CONSTANTS * slowest / WINDOW), LONGEST))
         loop = f"under a linear regulator its slowest motion has a time constant of {slowest:.3g} control periods"
-    grows = grown > GROWN
-    narrow = "" if regulator is None or grows else _narrow(regulator.task)
+    grows, narrow = grown > GROWN, ""
+    if regulator is not None and not grows:  # answers of a policy beyond what an input may use teach nothing
+        limits, task = regulator.task.input_limits, regulator.task
+        ends = torch.tensor(task.signature.input_limits or ((-1.0, 1.0),) * task.signature.n_u)
+        share = float(((limits[1] - limits[0]) / (ends[:, 1] - ends[:, 0])).min())
+        narrow = f"an input may use {100 * share:.2g} % of its range only" if share < NARROW else ""
     why = "; ".join(filter(None, (_fate(slopes, grown, seconds, step), loop, never, narrow)))
     settings = PlanSettings(window=window, substeps=substeps, warm_start=bool(narrow), why=why)
     return replace(settings, lr=3e-3, updates=200, warm_start=regulator is not None) if grows else settings
-
-
-def _narrow(task: Tracking) -> str:
-    """Say of how little of its range an input may use, if little; answers of a policy beyond it teach nothing."""
-    ends = torch.tensor(task.signature.input_limits or ((-1.0, 1.0),) * task.signature.n_u)
-    share = float(((task.input_limits[1] - task.input_limits[0]) / (ends[:, 1] - ends[:, 0])).min())
-    return f"an input may use {100 * share:.2g} % of its range only" if share < NARROW else ""
 
 
 def unheld(env: ControlEnv, rests: Equilibria) -> str:

@@ -376,15 +376,12 @@ class Observer:
         """Move states on under inputs that broadcast with them."""
         steps = self.steps(seconds)
         u = u.double().expand(*x.shape[:-1], u.shape[-1])
-        return integrate(self._augmented(), x, u, seconds, steps.number, self.stops)[0][..., -1, :]
-
-    def _augmented(self) -> System:
-        """Return what the observer believes of the plant, with the pushes behind the states, if they are estimated."""
-        if not self.pushed:
-            return self.system
-        if self._augmentation is None or self._augmentation.system is not self.system:
-            self._augmentation = _Augmented(self.system, self.pushed if self.learnt else (), len(self.pushed))
-        return self._augmentation
+        believed: System = self.system
+        if self.pushed:  # the pushes behind the states
+            if self._augmentation is None or self._augmentation.system is not believed:
+                self._augmentation = _Augmented(believed, self.pushed if self.learnt else (), len(self.pushed))
+            believed = self._augmentation
+        return integrate(believed, x, u, seconds, steps.number, self.stops)[0][..., -1, :]
 
     def _padded(self, y: Tensor) -> Tensor:
         """Return measurements with a NaN for each push, and for each state that has no sensor, whatever was given."""

@@ -218,7 +218,9 @@ class SindyModel(WorldModel):
         batch = np.broadcast_shapes(x0.shape[:-1], u.shape[:-2])  # by torch it would cost an import of sympy
         x0, u = x0.expand(*batch, -1), u.expand(*batch, -1, -1)
         last = None if u_end is None else u_end.expand_as(u)
-        if self._by_instructions(x0, u):
+        double = x0.dtype == u.dtype == torch.float64 and x0.device.type == u.device.type == "cpu"
+        own = type(self).forward is SindyModel.forward and not self._forward_hooks
+        if self.machine_code and own and double and plain(x0, u, self.coefficients):  # nothing is compiled
             flat = x0.reshape(-1, x0.shape[-1]), u.reshape(-1, *u.shape[-2:])
             ends = None if last is None else last.reshape(flat[1].shape)
             found = simulate(self.library, self.coefficients, *flat, dt, substeps, ends)
@@ -226,13 +228,6 @@ class SindyModel(WorldModel):
         ends = None if last is None else last.movedim(-2, 0)
         states = torch.cat([x0.unsqueeze(0), trajectory(self, x0, u.movedim(-2, 0), dt, substeps, ends)])
         return states.movedim(0, -2)
-
-    def _by_instructions(self, x: Tensor, u: Tensor) -> bool:
-        """Tell whether trajectories are computed by instructions, for which nothing is compiled."""
-        if not self.machine_code or type(self).forward is not SindyModel.forward or self._forward_hooks:
-            return False
-        double = x.dtype == u.dtype == torch.float64 and x.device.type == u.device.type == "cpu"
-        return double and plain(x, u, self.coefficients)
 
     @property
     def followed(self) -> dict[str, str]:
@@ -369,7 +364,10 @@ class SindyModel(WorldModel):
             factor = TriangularFactor(late.rows(self.library))
         self.samples, findings = len(data), (*cut, *refined.findings)
         if self.refinement is not None:
-            findings += (*_unmoved_shapes(self.library, self.coefficients),)
+            active = (self.coefficients != 0).any(-1).nonzero().flatten().tolist()
+            shapes = {f.base: None for k in active for f in self.library.features[k].factors if f.fitted}
+            still = [f for f in shapes if abs(f.frequency - f.fitted) <= MOVED * abs(f.fitted)]
+            findings += (*(weak("fit.shape", function=Feature.of([f]).name(), guess=f.fitted) for f in still),)
         return FitReport(
             self.library,
             self.coefficients.clone(),
@@ -675,14 +673,6 @@ def _start_lag_states(library: Library, xi: Tensor, guess: Transitions, follower
         part = (sums[0] / sums[1].clamp_min(1e-300)).nan_to_num(0.0, 0.0, 0.0)[stretch].unsqueeze(-1)
         ends = [end + part * off for end, off in zip(ends, offs, strict=True)]
     return replace(guess, x=ends[0], x_next=ends[1])
-
-
-def _unmoved_shapes(library: Library, xi: Tensor) -> list[Finding]:
-    """Return which numbers inside functions that are used did not move from their first guesses."""
-    active = (xi != 0).any(-1).nonzero().flatten().tolist()
-    used = {f.base: None for k in active for f in library.features[k].factors if f.fitted}
-    still = [f for f in used if abs(f.frequency - f.fitted) <= MOVED * abs(f.fitted)]
-    return [weak("fit.shape", function=Feature.of([factor]).name(), guess=factor.fitted) for factor in still]
 
 
 def _uncertainty(library: Library, features: Tensor, places: Tensor, factor: Tensor) -> dict[str, Any]:

@@ -145,10 +145,15 @@ class _Fit:
             late = late if late is not None else told or None
             self = replace(self, recording=replace(self.recording, longest=max(longest, FARTHER * (late or 0.0))))
         data, wanted, fit = self.recording.measured, self.settings.method, self
-        delay = self._rough(first) if late is None else late
+        dt, longest, delay = data.dt, self.recording.longest, late or 0.0
+        if late is None and longest:  # of whole samples, by a regression
+            samples = range(math.floor(longest / dt + 1e-9) + 1)
+            delay = min((k * dt for k in samples), key=self._delay_cost(first))
         if delay and wanted in ("integral", "one_step"):
             first = self._regressed(first, delay)
-            delay = self._regressed_delay(delay, first)
+            worth, whole = math.log(max(len(self._brief.measured), 2)), first[0].step is not None
+            fine = _refined_delay(delay, dt, longest, worth, self._delay_cost(first), whole)
+            delay = delay if abs(fine - delay) < ALIKE * dt else fine
         found = self._regressed(first, delay)
         exact = wanted in ("integral", "one_step") or (
             wanted == "auto" and not looks_noisy(*found, self.recording.guess)
@@ -231,19 +236,6 @@ class _Fit:
         """Return what a regression under inputs that act so much later [s] leaves over, see `unexplained`."""
         brief, field = self._brief, generate(*found)
         return lambda late: unexplained(self.constraints.free, *brief.delayed(late).rows(found[0], field))
-
-    def _rough(self, found: Model) -> float:
-        """Return the delay of whole samples that a regression finds [s]; 0 where none is looked for."""
-        dt, longest = self.recording.measured.dt, self.recording.longest
-        samples = range(math.floor(longest / dt + 1e-9) + 1)
-        return min((k * dt for k in samples), key=self._delay_cost(found)) if longest else 0.0
-
-    def _regressed_delay(self, rough: float, found: Model) -> float:
-        """Return the delay in fractions of a sample that regressions of samples without noise tell [s]."""
-        data, whole = self._brief.measured, found[0].step is not None
-        worth = math.log(max(len(data), 2))
-        fine = _refined_delay(rough, data.dt, self.recording.longest, worth, self._delay_cost(found), whole)
-        return rough if abs(fine - rough) < ALIKE * data.dt else fine
 
     def _descent(self, window: int, **more: Any) -> Descent:
         return Descent(window, select=self.settings.select, penalty=self.settings.penalty, **more)

@@ -448,7 +448,11 @@ def cost_of(flow: Flow, sigma: Tensor) -> float:
     if bool(windows.joined.any()):
         # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
         gap_weight = 10.0 * windows.mask.shape[1]
-        cost += gap_weight * float((_gaps(flow) / _gap_sigma(sigma, estimate)).square().sum())
+        # What no sensor sees is weighed by the errors of the others.
+        spread, seen = estimate.nodes.std(0, correction=0).clamp_min(1e-12), sigma > EXACT
+        relative = (sigma / spread)[seen].median() if bool(seen.any()) else torch.ones(())
+        gap_sigma = torch.where(seen, sigma, relative * spread).clamp_min(EXACT)
+        cost += gap_weight * float((_gaps(flow) / gap_sigma).square().sum())
     return cost
 
 
@@ -481,14 +485,6 @@ def _every(flow: Flow, observed: Tensor) -> Tensor:
     every[..., -1] = torch.cat([start_error.unsqueeze(1), windows.measured - flow.predicted[..., observed]], 1)
     seen = torch.cat([~start_error.isnan().unsqueeze(1), windows.mask > 0], 1)
     return every.masked_fill_(~seen.unsqueeze(-1), 0.0)
-
-
-def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
-    """Return what a gap of each state is weighed against; of one that no sensor sees, by the errors of the others."""
-    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
-    seen = sigma > EXACT
-    relative = (sigma / spread)[seen].median() if bool(seen.any()) else torch.ones(())
-    return torch.where(seen, sigma, relative * spread).clamp_min(EXACT)
 
 
 def _node_moves(flow: Flow, mine: slice, s: Tensor, ahead: Tensor | None) -> tuple[Tensor, Tensor]:

@@ -138,7 +138,10 @@ def prediction(
         if not len(known):
             known = np.array([-scale, scale])
         wide = float(np.ptp(known))
-        ended = _until_lost(model[:, i], truths[:, i], wide)
+        ended, course = model[:, i], truths[:, i]
+        with np.errstate(invalid="ignore"):  # what follows a loss would only streak the panel
+            lost = (np.abs(ended if np.isnan(course).all() else ended - course) > LOST * wide) & (wide > 0)
+        ended = np.where(np.logical_or.accumulate(lost | ~np.isfinite(ended)), np.nan, ended)
         axes[i].plot(x, _broken(truths[:, i], segment), color=BLACK, linewidth=1.2, label=truth)
         axes[i].plot(x, _broken(ended, segment), color=RED, linestyle=":", linewidth=1.8, label="predicted")
         whole = f"{f'{wide:.0f}' if wide >= 100 else f'{wide:.3g}'} {signature.state_units[i]}, {whose}"
@@ -168,14 +171,6 @@ def _mark(axes: Sequence[Axes], places: Array, **look: Any) -> None:
     for place in places:
         for axis in axes:
             axis.axvline(place, **look)
-
-
-def _until_lost(predicted: Array, real: Array, wide: float) -> Array:
-    """Return a prediction up to where it is so far off that what follows would only streak the panel."""
-    with np.errstate(invalid="ignore"):
-        off = np.abs(predicted if np.isnan(real).all() else predicted - real)
-        lost = (off > LOST * wide) & (wide > 0) | ~np.isfinite(predicted)
-    return np.where(np.logical_or.accumulate(lost), np.nan, predicted)
 
 
 def _breaks(segment: ArrayLike | None) -> list[int]:

@@ -271,7 +271,8 @@ def judge(case: Case, plant: str, parts: Components, seed: int) -> Iterable[tupl
         if case.detuned:
             gust = Scenario("detuned_gust", steps, 64, 30.0, partial(PerturbedPlant, push=GUST), [(12.0, 15.0)])
             result = evaluate(env, policy, gust, parts.sensing)
-            yield f"detuned_gust{suffix}", "max_abs_error_5s_after_gust", _numbers(result, _after(result, 20.0))
+            late = (result.trajectory["reference"] - result.outputs).abs()[:, result.time >= 20.0].amax(1)
+            yield f"detuned_gust{suffix}", "max_abs_error_5s_after_gust", _numbers(result, late)
         else:
             result = evaluate(env, policy, Scenario("step", steps, 64), parts.sensing)
             yield f"step{suffix}", "mean_abs_error_last_5s", _numbers(result, result.metrics["steady_state_error"])
@@ -283,12 +284,6 @@ def _waves(random: bool = False) -> list[Wave]:
         wide = (0.55, 0.55)
         return [Wave(wide, (0.05, 0.05), shape, random=True) for shape in ("sine", "square")]
     return [Wave((0.35, 0.25), (0.015, 0.015)), Wave((0.4, -0.5), (0.01, 0.01), "square")]
-
-
-def _after(result: Evaluation, second: float) -> torch.Tensor:
-    """Return the largest absolute error from a time on, `(episodes, n_r)` [rad]."""
-    error = (result.trajectory["reference"] - result.outputs).abs()
-    return error[:, result.time >= second].amax(1)
 
 
 def _numbers(result: Evaluation, errors: torch.Tensor) -> Row:

@@ -252,14 +252,10 @@ def words(case: Case, log: Path) -> list[str]:
     if case.known:
         given.append(f"plant.known={{{','.join(f'{state}:{rate}' for state, rate in case.known.items())}}}")
     if list(case.inputs) != ["u"]:
-        columns = (_column(name, of) for name, of in case.inputs.items())
+        limited = {name: f"{{name:{name},low:{of.low:g},high:{of.high:g}}}" for name, of in case.inputs.items()}
+        columns = (f"{name}:{limited[name] if of.stated else name}" for name, of in case.inputs.items())
         given.append(f"data.inputs={{{','.join(columns)}}}")
     return ["data=csv", f"data.path={log}", *(word.replace(" ", "") for word in given), *case.words]
-
-
-def _column(name: str, given: Input) -> str:
-    """Return the column of an input, with the ends of its actuator if the user states them."""
-    return f"{name}:{{name:{name},low:{given.low:g},high:{given.high:g}}}" if given.stated else f"{name}:{name}"
 
 
 def write_log(case: Case, path: Path, seed: int) -> None:

@@ -94,8 +94,8 @@ def main(arguments: argparse.Namespace) -> None:
     for seed in arguments.seeds:
         if flying := [name for name in arguments.peers if name in CONTROLLERS]:
             case = f"controller from 10 s, {arguments.targets} targets"
-            start = cpu_seconds()
-            parts = plan_ours(seed)
+            start, recipe = cpu_seconds(), build_recipe(replace(CASES["step"], episodes=0), PLANT, seed, {})
+            train(parts := recipe.build(), recipe.train, Callback())
             spent = cpu_seconds() - start
             keep(judge_controller("ours", ours(), parts, None, arguments.targets, spent), case, PLANT, seed)
             for name in flying:
@@ -170,14 +170,6 @@ def peer(python: Path, script: str, asked: dict[str, Any]) -> Iterator[Peer]:
     found = Peer(python, script, asked)
     with found.process:  # closes its input, and waits
         yield found
-
-
-def plan_ours(seed: int) -> Components:
-    """Return our parts after 10 s of excitation, a fit and a plan: case `step` of `gradient`."""
-    recipe = build_recipe(replace(CASES["step"], episodes=0), PLANT, seed, {})
-    parts = recipe.build()
-    train(parts, recipe.train, Callback())
-    return parts
 
 
 def judge_controller(
