@@ -360,7 +360,8 @@ def _margin(form: str) -> Callable[..., str]:
 
     def _said(value: float, **facts: Any) -> str:
         first = f"the least is {least}" if math.isfinite(value) else "without limit"
-        return _fill(f"{first} of {{input}} at ({{target:list}}){how}; threshold: {limit}", {"value": value, **facts})
+        text = _fill(f"{first} of {{input}} at ({{target:list}}){how}; threshold: {limit}", {"value": value, **facts})
+        return re.sub(r"(?<![\d.])1 control periods", "1 control period", text)
 
     return _said
 
@@ -629,7 +630,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "stable: {unstable} are not stable, at worst with a spectral radius of {radius:.6g} (inf: no rest); of those that "
     "come to rest a steady error of at most {error:.3g} {unit} of {output}, and {ran_away} run away in the step of "
     "steps.png; threshold: stable, {limit:.3g} {unit}",
-    "check.recovery": "comes back from errors of up to {reach:g} times the typical size of each state: "
+    "check.recovery": "comes back from errors of up to {reach:|# times }the typical size of each state: "
     "{shares:shares}, of {tried} each, and rests with an error of {error:.3g} {unit} of {output}; threshold: "
     "{limit:percent}",
     # a run

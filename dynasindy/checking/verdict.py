@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.checking.check import TOLERANCE, Check
+from dynasindy.checking.check import TOLERANCE, Check, Settings
 from dynasindy.checking.closed_loop import ClosedLoop
 from dynasindy.checking.linear_loop import NEUTRAL, find_rest, frequencies, sensitivity
 from dynasindy.control import Controller
@@ -85,7 +85,7 @@ def check_record(found: Check) -> dict[str, Any]:
 
 
 def thin_margin(controller: Controller, model: SindyModel) -> list[Finding]:
-    """Return that the disk margin is thin in the middle of the targets, or nothing: what `check` tells cheapest of all.
+    """Return that the disk margin is thin at ends or middles of the targets, or nothing: what `check` tells cheaply.
 
     Args:
         controller: The controller.
@@ -93,13 +93,16 @@ def thin_margin(controller: Controller, model: SindyModel) -> list[Finding]:
     """
     if (ends := controller.setup.task.ends) is None:
         return []
-    target, limit = torch.tensor(ends, dtype=torch.float64).mean(0), Thresholds().disk
-    rest = find_rest(ClosedLoop(controller, model), target.unsqueeze(0))
-    linear = rest.linear.row(0)
-    margins = 1 / np.abs(sensitivity(linear, frequencies(linear)) - 0.5).max(0) * bool(rest.stable)
-    least, name = float(margins.min()), model.signature.input_names[int(margins.argmin())]
-    thin = weak("run.thin_margin", value=least, input=name, limit=limit, target=target.tolist())
-    return [thin] if least < limit else []
+    targets, limit = Settings(*ends).targets, Thresholds().disk
+    rest = find_rest(ClosedLoop(controller, model), targets)
+    rows = [rest.linear.row(k).decaying() for k in range(len(targets))]
+    margins = np.stack([1 / np.abs(sensitivity(row, frequencies(row)) - 0.5).max(0) for row in rows])
+    margins *= rest.linear.stable.numpy()[:, None]
+    margins[~rest.still.numpy()] = np.inf  # as of a mileage, which runs on
+    k, i = np.unravel_index(margins.argmin(), margins.shape)
+    facts = {"value": float(margins[k, i]), "limit": limit, "target": targets[int(k)].tolist()}
+    facts |= {"input": model.signature.input_names[int(i)]}
+    return [weak("run.thin_margin", **facts)] if margins[k, i] < limit else []
 
 
 def _named(names: Sequence[str], values: Any) -> dict[str, Any]:
