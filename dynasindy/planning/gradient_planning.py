@@ -23,6 +23,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, Positive, check_memory
 from dynasindy.planning.imagined_replay import Planned, Planner
 from dynasindy.planning.imitation import Imitation, hold, imagined_rewards, improve
+from dynasindy.planning.margins import RestSlopes
 from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choose_plan_settings, find_task_equilibria
 from dynasindy.planning.randomization import InputStrength
 from dynasindy.planning.rollout import Network, Rows, Window, backward, imagine
@@ -108,6 +109,8 @@ largest one that is told [target ranges]."""
 GAIN, ROUNDS = 0.05, 6
 """Share of its score that a further round of updates must gain for another one to follow, and how many there are at
 most."""
+WATCH_EVERY = 20
+"""Updates from one look at the margins at all rests to the next."""
 LARGEST_GRADIENT = 0.3
 """Bound of each gradient's norm."""
 FENCE = 40.0
@@ -203,6 +206,7 @@ class GradientPlanning(Planner):
         self.held_out = Rows.draw(self.env, 64, torch.Generator().manual_seed(seed + 1))
         self.finest, self.phase = env.substeps, 0
         self.pace = replace(PlanSettings(), **self.given)
+        self.slopes: RestSlopes | None = None
 
     def plan(self) -> Planned:
         """Improve the actor with the model as it is now.
@@ -228,7 +232,7 @@ class GradientPlanning(Planner):
         shares = torch.arange(self.rollouts).tensor_split(len(models))
         episodes = [_Episodes(self, model, len(share)) for model, share in zip(models, shares, strict=True)]
         rows = self.held_out
-        rows.reach, rows.strength, rows.late = episodes[0].rows.reach, None, None
+        rows.reach, rows.strength, rows.late, self.slopes = episodes[0].rows.reach, None, None, None
         if rests is not None and self.input_delay:  # three episodes in time and three that are late, in turn
             rows.late = self.input_delay * (torch.arange(len(rows.x)) // 3 % 2).unsqueeze(-1).float()
         begun, held = Imitation(-math.inf), False
@@ -248,6 +252,7 @@ class GradientPlanning(Planner):
             for each in episodes:
                 each.vary(strength)
             if strength is not None:
+                self.slopes = RestSlopes.of(self.env, rests)
                 rows.strength = strength.ends(len(rows.x))
                 best = self.test() if best > -math.inf else best
         parts = [begun, self._descend(episodes, best, updates, lr, held)]
@@ -330,6 +335,8 @@ class GradientPlanning(Planner):
             # Ten steps of warm-up, then half a cosine down to 1 %.
             fall = 0.01 + 0.99 * (0.5 * (1 + math.cos(math.pi * (done - 1) / updates)))
             optimizer.param_groups[0]["lr"] = rate * (min(1.0, done / 10) * fall)
+            if self.slopes is not None and done % WATCH_EVERY == 1:
+                self.slopes.watch(self.network)
             made += self._update(episodes, optimizer)
             if done % self.check_every == 0 or done == updates:
                 # Without a step so far the rest of the phase would bring none either.
@@ -359,6 +366,8 @@ class GradientPlanning(Planner):
             backward(each.env, self.network, each.rows, window)
             alive |= bool(window.alive[-1].any())
             each.carry_on(window)
+        if self.slopes is not None:
+            self.slopes.add_gradient(self.network)
         # The sum of the models' gradients; for Adam, which takes no account of their size, it is their mean.
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), LARGEST_GRADIENT * len(episodes))
         finite = bool(norm.isfinite())

@@ -93,7 +93,9 @@ def find_task_equilibria(env: ControlEnv) -> Equilibria | None:
     drawn = task.sample(torch.Size((8 * REFERENCES,)), generator)
     values = task.reference(drawn, torch.zeros(len(drawn), 1)).double()
     low, high = values.amin(0), values.amax(0)
-    targets = low + (high - low) * SobolEngine(len(low), scramble=True, seed=0).draw(REFERENCES).double()
+    # The ends are among them: it is there that a policy knows least of what is around.
+    share = (1.2 * SobolEngine(len(low), scramble=True, seed=0).draw(REFERENCES).double() - 0.1).clamp(0, 1)
+    targets = low + (high - low) * share
     return find_equilibria(env.system, task.outputs, targets, start, env.dt, task.input_limits)
 
 
