@@ -560,8 +560,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "noisy{unmeasured:?or to lack states}",
     "fit.single_steps": "the fit predicts each sample from the one before, as errors do not look like noise of sensors",
     "fit.dropped": "the refinement dropped every function, so the fit before it stays; log longer or cleaner data",
-    "fit.chosen_on": "functions were chosen on {rows} of {total} rows, in {stretches} stretches, then all were fitted",
-    "fit.fitted_to": "the coefficients were fitted on {rows} of {total} rows, in {stretches} stretches",
+    "fit.chosen_on": "functions were chosen on {rows} of {total} rows, in {stretches:one stretch|# stretches}, then "
+    "all were fitted",
+    "fit.fitted_to": "the coefficients were fitted on {rows} of {total} rows, in {stretches:one stretch|# stretches}",
     "fit.longest_delay": lambda seconds: (
         f"the best delay of the inputs is the longest that was tried, {seconds:g} s: give "
         f"{setting('longest_delay', float(f'{2 * seconds:g}'))}, or 0 where it stands for what the equations lack. "
@@ -574,8 +575,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "fit.library_cut": "of the {whole} functions of library {library} {kept} were taken, the simplest ones and those "
     "that explain most, as {samples} samples tell no more; log longer, or name the functions that move the plant",
     "fit.shape": "the number in {function} stayed at its first guess {guess:g}: the data hardly determine it",
-    "fit.candidates": "of {count} candidates this one predicts best up to {seconds:g} s ahead in parts of the training "
-    "data that the fit had not seen: {what}",
+    "fit.candidates": "{count:the one candidate predicts|of # candidates this one predicts best} up to {seconds:g} s "
+    "ahead in parts of the training data that the fit had not seen: {what}",
     "fit.behind": "{state} up to {seconds:time} ahead was predicted {factor:.3g} times as well by the best simple "
     "model, of past samples (ARX) or the last value held, in data kept back",
     "fit.budget": "the search ended after {seconds:.0f} s of computing{stopped:?(it was stopped)}; the best model "
