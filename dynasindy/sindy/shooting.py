@@ -579,7 +579,7 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
     values = torch.zeros_like(old).index_copy(0, kept, solution) / model.scale
     step = values.clone()
     step[n_fixed:] -= parameters.read(estimate.xi)
-    nodes = estimate.nodes + model.moves[..., :-1] @ step + model.moves[..., -1]
+    nodes = estimate.nodes + model.moves[..., :-1] @ step + model.moves[..., -1] / (1 + damping)
     library, shapes = estimate.library, estimate.library.shapes
     if shapes:
         numbers = step[n_fixed - len(shapes) : n_fixed].tolist()
