@@ -415,15 +415,14 @@ class _Search:
             tried = self._fit(what, models, source, self._settings(select=False), of.structure)
             linear[0] = _better(of, tried)
             self._select(linear[0])
-            behind = self.best.score > 0
-            if behind and (lagging := self._with_lag_states(linear[0])) is not linear[0]:
-                self._select(lagging)
         near = {each.states for each in self._near(self.tried)} if self.tried else set()
         better = {each.states: each.structure for each in reversed(linear)}  # of two with the same states
         for model, source in structures if self.builder is not None else ():
             names = source.signature.state_names
             if (not near or names in near) and better.get(names, model) is model:
                 self._regressed(model, source)
+        if linear and self.best.score > 0 and (lagging := self._with_lag_states(linear[0])) is not linear[0]:
+            self._select(lagging)
         has_new_state = False
         if self.builder is not None and self.tried:
             self._with_larger_library()
