@@ -29,7 +29,7 @@ from dynasindy.identification.forecast_errors import (
     start_rows,
     starting_states,
 )
-from dynasindy.identification.recording_diagnostics import resolutions
+from dynasindy.identification.recording_diagnostics import sensor_errors
 from dynasindy.identification.source import Source, rate_name, rates_of
 from dynasindy.identification.verdict import equation_findings, idle_states
 from dynasindy.limits import raise_if_memory
@@ -101,9 +101,9 @@ ANGLES = frozenset({"rad", *TURNS})
 LATEST = 30
 """Samples within which a delay is looked for, at least."""
 EXACT = 1e-5
-"""Error that is as good as none, whatever a sensor resolves [ranges of the state]."""
+"""Error that is as good as none, however fine a sensor is [ranges of the state]."""
 RESOLVED = 1.2
-"""Times what a sensor resolves up to which an error leaves nothing to be found."""
+"""Times the error of a sensor up to which an error leaves nothing to be found."""
 LAG_STATES = 3
 """States that follow a signal that are tried, those first that regressions prefer."""
 FAILURES = ArithmeticError, ValueError, RuntimeError
@@ -205,7 +205,7 @@ class HoldOut:
         data = source.training
         place, length = torch.arange(len(data)), round(KEPT * len(data))
         ends = [len(data) - k * length for k in range(FOLDS if len(data) < SHORT else 1)]
-        resolution = resolutions(data).nan_to_num()
+        resolution = sensor_errors(data).nan_to_num()
         found = [cls._of(source, (place < end - length) | (place >= end), resolution) for end in ends]
         return [each for each in found if each is not None]
 
@@ -282,7 +282,7 @@ class HoldOut:
         return (errors.maximum(least).minimum(most) / self.simple.maximum(least)).log()
 
     def exact(self, errors: Tensor) -> bool:
-        """Tell whether no error is much larger than what a sensor resolves."""
+        """Tell whether no error is much larger than that of the sensor."""
         return bool(((errors <= RESOLVED * self.floor) | self.simple.isnan()).all())
 
 
@@ -706,9 +706,7 @@ class _Search:
 
     def _behind(self, best: Candidate) -> list[Finding]:
         """Say where a simple model predicted better what was kept."""
-        # What a step of a sensor hides of a fit is a twelfth of its square.
-        fine = [replace(fold, floor=fold.floor / math.sqrt(12)) for fold in self.folds]
-        fold, ratios = self.folds[0], list(map(HoldOut.ratios, fine, best.errors))
+        fold, ratios = self.folds[0], list(map(HoldOut.ratios, self.folds, best.errors))
         if len({len(each) for each in ratios}) > 1:
             ratios = ratios[:1]
         behind = torch.stack(ratios).mean(0).exp().nan_to_num(0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 
 import numpy as np
 import torch
@@ -63,21 +63,30 @@ def resolutions(data: Transitions, model: SindyModel | None = None) -> Tensor:
         data: the recording.
         model: a model that was fitted to it.
     """
+    found = torch.tensor([step or noise for step, noise in _steps_and_noise(data)])
+    if model is None or model.step is None:
+        return found
+    late = delay_and_trim(data, model.delay)
+    with torch.no_grad():
+        left = model.predict(late.x, late.u, late.dt) - late.x_next
+    return found.fmin(left.square().nanmean(0).sqrt())
+
+
+def sensor_errors(data: Transitions) -> Tensor:
+    """Return the root-mean-square error of each sensor, `(n_x,)`: of a step a twelfth of its square, or its noise."""
+    return torch.tensor([step / math.sqrt(12) or noise for step, noise in _steps_and_noise(data)])
+
+
+def _steps_and_noise(data: Transitions) -> Iterator[tuple[float, float]]:
+    """Yield the step of each sensor, 0 where none is seen, and its noise, both NaN of a state that was not measured."""
     whole = ~(data.x.isnan().any(0) | data.x_next.isnan().any(0))
     unforeseen = torch.full((len(whole),), math.nan, dtype=torch.float64)
     each = (torch.arange(len(whole)) == i for i in (~whole).nonzero().flatten().tolist())
     for mine in (*([whole] if bool(whole.any()) else []), *each):
         unforeseen[mine] = _left_by_past(data, torch.cat([data.x[:, mine | whole], data.u], -1).double(), mine)
-    found = []
     for column, left in zip(samples_of(data), unforeseen.tolist(), strict=True):
         noise = float(np.fmin(_noise(column), left))
-        found.append(sensor_resolution(column, noise) or noise)
-    if model is None or model.step is None:
-        return torch.tensor(found)
-    late = delay_and_trim(data, model.delay)
-    with torch.no_grad():
-        left = model.predict(late.x, late.u, late.dt) - late.x_next
-    return torch.tensor(found).fmin(left.square().nanmean(0).sqrt())
+        yield sensor_resolution(column, noise), noise
 
 
 def _left_by_past(data: Transitions, both: Tensor, states: Tensor) -> Tensor:
