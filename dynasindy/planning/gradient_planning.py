@@ -106,9 +106,9 @@ that has to be held, and the factor on the learning rate then; an error of the w
 ACCEPTABLE_ERROR, LARGEST_ERROR = 0.005, 10.0
 """Error at the end of imagined episodes up to which a policy is good enough, half of what verdicts ask for, and the
 largest one that is told [target ranges]."""
-GAIN, ROUNDS = 0.05, 6
-"""Share of its score that a further round of updates must gain for another one to follow, and how many there are at
-most."""
+GAIN, LEAST, ROUNDS, FALL = 0.05, 2, 6, 0.3
+"""Share of its score that a further round of updates must gain for another one to follow, after how many that is asked,
+how many there are at most, and the factor on the learning rate from each to the next."""
 WATCH_EVERY = 20
 """Updates from one look at the margins at all rests to the next."""
 LARGEST_GRADIENT = 0.3
@@ -254,9 +254,10 @@ class GradientPlanning(Planner):
             if strength is not None:
                 self.slopes = RestSlopes.of(self.env, rests)
                 rows.strength = strength.ends(len(rows.x))
-                best = self.test() if best > -math.inf else best
+                # A policy of an earlier phase is given up for a better one only.
+                best = self.test() if best > -math.inf or not first else best
         parts = [begun, self._descend(episodes, best, updates, lr, held)]
-        for _ in range(0 if "updates" in self.given else ROUNDS):
+        for k in range(0 if "updates" in self.given else ROUNDS):
             if rests is None or pace.afar or (self.steady_state_error() or 0.0) <= ACCEPTABLE_ERROR:
                 break
             # The law of the model, where that is better than what the gradient has found and nobody rules it out.
@@ -265,9 +266,11 @@ class GradientPlanning(Planner):
                 held, before = True, self.test()
             else:
                 before = parts[-1].score
-            # As long as those of the first phase: what it has not reached, the few updates of a later one do not.
-            parts.append(self._descend(episodes, before, pace.updates, 0.3 * pace.lr, held))
-            if parts[-1].score - before <= GAIN * abs(before):
+            # As long as those of the first phase: what it has not reached, the few updates of a later one do not. Targets
+            # come before margins.
+            self.slopes = None
+            parts.append(self._descend(episodes, before, pace.updates, pace.lr * FALL ** (k + 1), held))
+            if k >= LEAST and parts[-1].score - before <= GAIN * abs(before):
                 break
         if rests is None and self.searches:  # there is no rest that ways could have been searched to
             parts.append(improve(self.network, self.env, rows, self.test, self.rng, pace.window, self.searches))
