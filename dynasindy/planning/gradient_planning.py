@@ -266,8 +266,8 @@ class GradientPlanning(Planner):
                 held, before = True, self.test()
             else:
                 before = parts[-1].score
-            # As long as those of the first phase: what it has not reached, the few updates of a later one do not. Targets
-            # come before margins.
+            # As long as those of the first phase: what it has not reached, the few updates of a later one do not.
+            # Targets come before margins.
             self.slopes = None
             parts.append(self._descend(episodes, before, pace.updates, pace.lr * FALL ** (k + 1), held))
             if k >= LEAST and parts[-1].score - before <= GAIN * abs(before):
