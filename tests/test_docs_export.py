@@ -2,7 +2,6 @@
 
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import forked
@@ -64,8 +63,7 @@ def test_the_lines_of_the_page_on_onnx_act_as_the_controller(name, request, tmp_
     pytest.importorskip("onnxruntime")
     controller = request.getfixturevalue(name)
     save(controller, tmp_path / "run" / "controller.json")
-    command = [sys.executable, str(REPOSITORY / "scripts" / "export.py"), "run=run", "formats=[onnx]"]
-    done = forked.run(command, cwd=tmp_path)
+    done = forked.call("export", "run=run", "formats=[onnx]", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     monkeypatch.chdir(tmp_path / "run" / "export")
     names = {}
@@ -82,8 +80,7 @@ def actions(controller):
 
 def test_the_command_writes_what_the_page_says(controller, tmp_path):
     save(controller, tmp_path / "run" / "controller.json")
-    command = [sys.executable, str(REPOSITORY / "scripts" / "export.py"), "run=run", "formats=[c,fmu,model]"]
-    done = forked.run(command, cwd=tmp_path)
+    done = forked.call("export", "run=run", "formats=[c,fmu,model]", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     table = re.findall(r"^\| `(c|fmu|model)` \| ([^|]+) \|", PAGE, re.M)
     names = {name for _, files in table for name in re.findall(r"`([\w.]+)`", files)}

@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import forked
@@ -52,8 +51,7 @@ def test_a_policy_holds_its_plant_moved_by_another_integrator(name):
 
 def run_command(name, run, *words):
     """Run a command on a copy of a policy."""
-    command = [sys.executable, str(REPOSITORY / "scripts" / f"{name}.py"), f"run={run}", *words]
-    done = forked.run(command, cwd=run.parent, timeout=600)
+    done = forked.call(name, f"run={run}", *words, cwd=run.parent, timeout=600)
     assert done.returncode == 0, done.stdout + done.stderr
 
 

@@ -2,13 +2,10 @@
 
 import csv
 import re
-import sys
-from pathlib import Path
 
 import forked
 import pytest
 
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "ablation.py"
 SMALL = (
     "experiment=smoke", "system=xi", "train.episodes=1", "train.updates_per_step=0.02", "scenario.episodes=2",
     "excitation.duration=2", "task.max_steps=50", "setting=direct", "planning.rollouts=10", "seed=1",
@@ -17,8 +14,7 @@ SMALL = (
 
 
 def start(*overrides, cwd):
-    command = [sys.executable, str(SCRIPT), *overrides]
-    return forked.run(command, cwd=cwd, timeout=600)
+    return forked.call("ablation", *overrides, cwd=cwd, timeout=600)
 
 
 def run(*overrides, cwd):
@@ -49,8 +45,7 @@ def test_only_jobs_of_the_present_command_are_counted(tmp_path):
         (earlier / name / "seed_1").mkdir(parents=True)
         (earlier / name / "seed_1" / "error.txt").write_text("error: earlier\n")
     words = ("experiment=smoke", "system=xi", "setting=direct", "seed=1", "results=results", "agent.critics=1,0")
-    command = [sys.executable, str(SCRIPT), *words, "hydra/launcher=basic"]
-    done = forked.run(command, cwd=tmp_path, timeout=600)
+    done = start(*words, "hydra/launcher=basic", cwd=tmp_path)
     last = done.stderr.strip().splitlines()[-1]
     assert done.returncode == 2 and last.startswith("error: 2 ")
     assert re.findall(r"direct/(\S+?)/seed_1", last) == ["agent.critics-0", "agent.critics-1"]

@@ -2,8 +2,6 @@
 
 import json
 import os
-import sys
-from pathlib import Path
 
 import forked
 import pytest
@@ -17,7 +15,6 @@ from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
 from dynasindy.tasks import Step, Tracking, TrackingReward
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "check.py"
 SMALL = ("points=1", "grid=2", "draws=1", "seconds=3")
 
 
@@ -35,8 +32,7 @@ def run_folder(folder, spring):
 
 
 def called(folder, *words):
-    command = [sys.executable, str(SCRIPT), "run=run", *words]
-    return forked.run(command, cwd=folder, timeout=300)
+    return forked.call("check", "run=run", *words, cwd=folder)
 
 
 @pytest.mark.parametrize(("spring", "code"), [(2.0, 0), (-2.0, 1)])

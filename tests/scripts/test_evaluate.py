@@ -3,7 +3,6 @@
 import json
 import math
 import subprocess
-import sys
 from pathlib import Path
 
 import forked
@@ -39,8 +38,7 @@ def saved_run(monkeypatch: pytest.MonkeyPatch):
 
 
 def evaluate(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(REPOSITORY / "scripts" / "evaluate.py"), *arguments]
-    return forked.run(command, cwd=cwd)
+    return forked.call("evaluate", *arguments, cwd=cwd)
 
 
 def test_it_writes_tables_figures_and_an_animation(run_folder: Path, tmp_path: Path) -> None:
@@ -60,14 +58,8 @@ def test_it_writes_tables_figures_and_an_animation(run_folder: Path, tmp_path: P
 @pytest.mark.slow
 def test_a_policy_that_was_trained_behind_sensors_is_evaluated_behind_them(tmp_path: Path) -> None:
     words = ["system=tras", "sensors=bench", "world_model=oracle", "experiment=gradient_smoke", "train.episodes=0"]
-    script = [
-        sys.executable,
-        str(REPOSITORY / "scripts" / "train.py"),
-        *words,
-        "scenario.episodes=2",
-        "scenario.seconds=4",
-    ]
-    done = forked.run([*script, f"hydra.run.dir={tmp_path / 'run'}"], cwd=tmp_path)
+    words += ["scenario.episodes=2", "scenario.seconds=4", "hydra.run.dir=run"]
+    done = forked.call("train", *words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     record = json.loads((tmp_path / "run" / "observer.json").read_text())
     assert len(record["process_noise"]) == 8 and record["nis"] < 1.5

@@ -1,20 +1,12 @@
 """What a command leaves behind: nothing beside what was asked for."""
 
-import os
-import sys
-from pathlib import Path
-
 import forked
 import pytest
-
-ROOT = Path(__file__).parents[2]
 
 
 def test_what_lies_in_a_folder_of_runs_stays(tmp_path):
     (tmp_path / "runs" / "before").mkdir(parents=True)
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, str(ROOT / "scripts" / "identify.py"), "data=csv", "data.path=nowhere.csv"]
-    done = forked.run(command, env=environment, timeout=300, cwd=tmp_path)
+    done = forked.call("identify", "data=csv", "data.path=nowhere.csv", cwd=tmp_path)
     assert done.returncode == 2 and "nowhere.csv" in done.stderr
     assert [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("*"))] == ["runs", "runs/before"]
 
@@ -33,9 +25,7 @@ def test_a_sweep_that_is_refused_leaves_nothing_and_takes_nothing_away(tmp_path,
     if before:  # an earlier sweep in this folder
         (sweep / "0_seed-0").mkdir(parents=True)
         (sweep / "multirun.yaml").write_text("{}")
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, str(ROOT / "scripts" / "train.py"), "-m", "hydra.sweep.dir=runs/mine", *words]
-    done = forked.run(command, env=environment, timeout=300, cwd=tmp_path)
+    done = forked.call("train", "-m", "hydra.sweep.dir=runs/mine", *words, cwd=tmp_path)
     assert done.returncode == 2 and said in done.stderr
     left = ["runs", "runs/mine", "runs/mine/0_seed-0", "runs/mine/multirun.yaml"] if before else []
     assert [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("*"))] == left

@@ -3,7 +3,6 @@
 import json
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import forked
@@ -14,15 +13,14 @@ SMALL = ("system=xi", "experiment=smoke", "excitation.duration=5", "task.max_ste
 
 
 def report(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(REPOSITORY / "scripts" / "report.py"), *arguments]
-    return forked.run(command, cwd=cwd, timeout=300)
+    return forked.call("report", *arguments, cwd=cwd)
 
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("ablation") / "xi" / "dyna" / "rollouts_800" / "seed_0"
-    command = [sys.executable, str(REPOSITORY / "scripts" / "train.py"), *SMALL]
-    forked.run([*command, f"folder={folder}", f"hydra.run.dir={folder}"], cwd=folder.parents[3], check=True)
+    words = [*SMALL, f"folder={folder}", f"hydra.run.dir={folder}"]
+    forked.call("train", *words, cwd=folder.parents[3], check=True)
     return folder
 
 

@@ -2,7 +2,6 @@
 
 import os
 import re
-import sys
 from pathlib import Path
 
 import forked
@@ -12,11 +11,6 @@ import torch
 from dynasindy.sindy import SindyModel
 
 ROOT = Path(__file__).parents[2]
-ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-
-
-def command(*words):
-    return [sys.executable, str(ROOT / "scripts" / "rig.py"), "system=pendulum", *words]
 
 
 def test_the_file_of_the_page_is_a_rig_that_only_a_connection_is_missing_of(tmp_path):
@@ -25,8 +19,7 @@ def test_the_file_of_the_page_is_a_rig_that_only_a_connection_is_missing_of(tmp_
     (tmp_path / "system").mkdir()
     (tmp_path / "system" / "arm.yaml").write_text(block)
     words = ["--config-dir", str(tmp_path), "system=arm", f"folder={tmp_path}/run"]
-    words = [sys.executable, str(ROOT / "scripts" / "rig.py"), *words]
-    done = forked.run(words, env=ENVIRONMENT, timeout=200)
+    done = forked.call("rig", *words)
     assert done.returncode == 2
     assert "angle within -1.5 to 1.5 rad" in done.stdout and "rig=udp" in done.stderr
 
@@ -50,9 +43,8 @@ def test_a_plant_of_a_user_without_known_equations_is_rehearsed(tmp_path):
     )
     words = ["--config-dir", str(tmp_path / "conf"), "system=tank", "sensors=bench", f"folder={tmp_path}/run"]
     words += ["excitation.duration=10", "seconds=0.5", "planner={updates: 2}", "guard.late=50", "guard.lost=100"]
-    environment = ENVIRONMENT | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])}
-    words = [sys.executable, str(ROOT / "scripts" / "rig.py"), *words]
-    done = forked.run(words, env=environment, timeout=300)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])}
+    done = forked.call("rig", *words, env=environment)
     assert "Traceback" not in done.stderr
     assert done.returncode == 0, done.stderr
     # What was identified is dh/dt = 0.2 + 0.2 pump - 0.2 h.

@@ -145,7 +145,7 @@ def test_what_the_system_refuses_costs_one_line(tmp_path, make, words):
 def test_a_word_in_capitals_that_is_copied_as_it_stands_costs_one_line(tmp_path, words):
     (tmp_path / "log.csv").write_text("\n".join(["time,angle,u", *(f"{k / 9},{k % 7},{k % 2}" for k in range(80))]))
     command, *given = shlex.split(words)
-    done = forked.run([sys.executable, str(SCRIPTS / f"{command}.py"), *given], cwd=tmp_path)
+    done = forked.call(command, *given, cwd=tmp_path)
     copied = set(re.findall(r"[A-Z]{4,}", words)) | ({"scale"} if "scale" in words else set())
     assert done.returncode == 2 and any(word in done.stderr for word in copied)
     assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
@@ -177,7 +177,7 @@ def test_a_key_that_follows_another_one_names_it(word):
     ],
 )
 def test_what_is_refused_costs_one_line_and_leaves_no_folder(tmp_path, command, words, named):
-    done = forked.run([sys.executable, SCRIPTS / f"{command}.py", *words], cwd=tmp_path)
+    done = forked.call(command, *words, cwd=tmp_path)
     (line,) = done.stderr.strip().split("error: ")[1:]
     assert (done.returncode, named in " ".join(line.split())) == (2, True), done.stderr
     assert "usage" not in done.stderr and not [*tmp_path.rglob("*.*")]

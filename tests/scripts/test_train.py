@@ -1,7 +1,6 @@
 """Sweeps of tasks of any kind, and words that are of a sweep alone."""
 
 import os
-import sys
 from pathlib import Path
 
 import forked
@@ -10,11 +9,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def run(*overrides, cwd, **more):
-    return forked.run(command(*overrides), cwd=cwd, timeout=300, env=os.environ | more)
-
-
-def command(*overrides):
-    return [sys.executable, str(ROOT / "scripts" / "train.py"), *overrides]
+    return forked.call("train", *overrides, cwd=cwd, env=os.environ | more)
 
 
 def test_a_group_without_a_file_is_told_and_not_the_file_of_a_user(tmp_path):

@@ -152,6 +152,11 @@ def run(
     return done
 
 
+def call(name: str, *words: str, **more: Any) -> subprocess.CompletedProcess[str]:
+    """Do what `run` does with a script of this repository."""
+    return run([sys.executable, ROOT / "scripts" / f"{name}.py", *words], **more)
+
+
 def _command(
     words: list[str], folder: Path, environment: dict[str, str], installed: list[str], writers: list[Connection]
 ) -> None:
