@@ -1,6 +1,5 @@
 """The pages in docs/ say what the code says: links, names, config values and departures from the paper."""
 
-import pydoc
 import re
 import shlex
 from pathlib import Path
@@ -47,12 +46,6 @@ def test_links_lead_to_files(page):
     targets = re.findall(r"\]\(([^)#\s]+)", page.read_text())
     missing = [t for t in targets if "://" not in t and not (page.parent / t).exists()]
     assert not missing
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_names_of_code_exist(page):
-    names = set(re.findall(r"`(dynasindy(?:\.\w+)+)`", page.read_text()))
-    assert not [name for name in sorted(names) if pydoc.locate(name) is None]
 
 
 COMMANDS = sorted(

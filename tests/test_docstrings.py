@@ -14,7 +14,7 @@ import pytest
 import dynasindy
 
 REPOSITORY = Path(__file__).parents[1]
-PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
+PAGES = [*sorted(REPOSITORY.glob("*.md")), *sorted((REPOSITORY / "docs").rglob("*.md"))]
 CONFIGS = sorted((REPOSITORY / "conf").rglob("*.yaml"))
 DOTTED = re.compile(r"\bdynasindy(?:\.[A-Za-z_]\w*)+")
 FILE = re.compile(r"\bdynasindy(?:/\w+)*/\w+(?=\.py\b)")
