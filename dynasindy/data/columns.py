@@ -193,7 +193,7 @@ def infer(
     moves = {name: moves for h, moves in table.moving().items() if (name := split_unit(h)[0]) in columns}
     if timed or dt is not None:
         t = table.column(clock) if timed else np.arange(len(table.frame), dtype=np.float64)
-        kinds |= {name: "counter" for name in moves if keeps_time(table.column(columns[name].name), t)}
+        kinds |= {name: "counter" for name in moves if _keeps_time(table.column(columns[name].name), t)}
     for name, kind in kinds.items():
         if kind in ("words", "dates") and (name in driving or (inputs is None and INPUT.fullmatch(name))):
             raise LogError("log.worded_column", file=path, column=name, text=table.words[columns[name].name].text)
@@ -440,7 +440,7 @@ def _is_regular(column: Array, within: float = 0.5) -> bool:
     return bool(len(steps) and (steps > 0).all() and (np.abs(steps / np.median(steps) - 1) < within).mean() > HELD)
 
 
-def keeps_time(column: Array, t: Array) -> bool:
+def _keeps_time(column: Array, t: Array) -> bool:
     """Tell whether a column grows as a time does, on a straight line or in even ticks of more than a row."""
     rows = np.isfinite(column) & np.isfinite(t)
     x, t = column[rows], t[rows]
@@ -461,7 +461,7 @@ def _guess_columns(table: Table, time: str | None, inputs: Sequence[str], dt: fl
     growing = sorted((h for h in columns if grows(columns[h])), key=lambda heading: is_counter(columns[heading]))
     time = time or next(iter([*table.of_kind("dates"), *growing]), None)
     t = table.column(time) if time else np.zeros(0)
-    aside = {time, *table.of_kind("counter"), *(h for h in columns if time and keeps_time(table.column(h), t))}
+    aside = {time, *table.of_kind("counter"), *(h for h in columns if time and _keeps_time(table.column(h), t))}
     still = {split_unit(h)[0]: _standing(column) for h, column in columns.items() if h not in aside}
     names, held = [*still], True
     counter = dt is None and time in growing and not parts_of(time)[1] and is_counter(columns[time])
