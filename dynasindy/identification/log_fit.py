@@ -34,7 +34,7 @@ from dynasindy.identification.source import Source, rate_name, rates_of
 from dynasindy.identification.verdict import equation_findings, idle_states
 from dynasindy.limits import raise_if_memory
 from dynasindy.progress import Event, TimeIsUp, listening, report_progress, reporting_as
-from dynasindy.sindy.delay import delay_and_trim
+from dynasindy.sindy.delay import delay_and_trim, unexplained
 from dynasindy.sindy.fit_report import FitReport
 from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.lag_states import (
@@ -49,8 +49,8 @@ from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.named_libraries import PLACE, LibraryBuilder, auto, auto_rig, is_speed, polynomial
 from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
-from dynasindy.sindy.refinement import FARTHER, Refinement
-from dynasindy.sindy.regression import SAMPLES_EACH, fit_supported
+from dynasindy.sindy.refinement import FARTHER, TELLING, Refinement
+from dynasindy.sindy.regression import SAMPLES_EACH, Rows, fit_supported
 from dynasindy.sindy.shooting import CHOSEN_STRETCHES, choose_stretches
 from dynasindy.sindy.world_model import variance
 from dynasindy.systems.base import TURNS
@@ -90,7 +90,7 @@ HOPELESS = 1.0
 """Score behind the best one beyond which nothing dearer is tried of a candidate."""
 LEADERS = 3
 """Models that longer simulations are fitted by, those first that predict best."""
-MANY = 80
+MANY = 100
 """Functions up to which regressions choose among all of them, and beyond which those of one factor come first."""
 SHARE, LARGEST_SHARE, LAST_SHARE = 0.25, 0.5, 0.15
 """Part of the time that states that follow a signal may take, any one candidate, and the last fit."""
@@ -614,7 +614,7 @@ class _Search:
     def _regressed(self, model: SindyModel, source: Source) -> None:
         """Begin at the equations that regressions of rates of change choose, as of a library without linear ones."""
         if len(model.library) > MANY and self.builder is not None:
-            model = _with_functions(model, lambda each: not _is_quotient(each))
+            model = self._with_one_inertia(model, source)
         if len(model.library) > MANY:
             return
         names, settings = ", ".join(source.signature.state_names), self._settings(rounds=2)
@@ -623,6 +623,23 @@ class _Search:
         if (found := self._fit(what, begun, source, pieces)) is not None:
             begun = [_warm_started(each) for each in found.models]
         self._fit(f"functions of {names} that regressions choose", begun, source, settings)
+
+    def _with_one_inertia(self, model: SindyModel, source: Source) -> SindyModel:
+        """Return a model with quotients of the one angle that regressions on all functions tell, or of none."""
+        late = self.best.model.delay if self.tried else 0.0
+        theta, dx = _mean_rates(model, delay_and_trim(source.training.select(self.folds[0].fit_rows()), late))
+        read = [frozenset(f for f in each.factors if f.function in QUOTIENTS) for each in model.library.features]
+
+        def _cost(angle: frozenset[Factor]) -> float:
+            places = [k for k, each in enumerate(read) if each <= angle]
+            free = model.constraints.free[places]
+            return unexplained(free, theta[:, places], dx) + 0.5 * int(free.sum()) * math.log(len(dx))
+
+        none, *_ = angles = list(dict.fromkeys([frozenset[Factor](), *read]))
+        best = min(angles, key=_cost)
+        if _cost(none) - _cost(best) < 0.5 * len(dx) * math.log(TELLING):
+            best = none
+        return _with_functions(model, lambda each: {f for f in each.factors if f.function in QUOTIENTS} <= best)
 
     def _with_larger_library(self) -> None:
         """Try signed squares, cubic functions, and roots of what is never negative, beside the best ones so far."""
@@ -754,13 +771,19 @@ def _with_functions(model: SindyModel, wanted: Callable[[Feature], bool]) -> Sin
 
 def _linear_start(model: SindyModel, data: Transitions, delay: float) -> SindyModel:
     """Return a model that begins at the linear equations that a regression finds, its inputs late [s]."""
-    late, rates, library = delay_and_trim(data, delay), rate_states(model.library, model.constraints), model.library
-    seen = RegressionData.of(late, rates, True)
-    offset, free = model.constraints.offset, model.constraints.free
-    theta, dx = seen.rows(library, lambda x, u: library(x, u) @ offset)
+    theta, dx = _mean_rates(model, delay_and_trim(data, delay))
     begun = copy.deepcopy(model)
-    begun.initial, begun.initial_delay = offset + fit_supported(theta, dx - theta @ offset, free), delay
+    begun.initial = model.constraints.offset + fit_supported(theta, dx, model.constraints.free)
+    begun.initial_delay = delay
     return begun
+
+
+def _mean_rates(model: SindyModel, data: Transitions) -> Rows:
+    """Return functions averaged over parts of a recording, and rates of change beyond those that are known."""
+    library, offset = model.library, model.constraints.offset
+    seen = RegressionData.of(data, rate_states(library, model.constraints), True)
+    theta, dx = seen.rows(library, lambda x, u: library(x, u) @ offset)
+    return theta, dx - theta @ offset
 
 
 def _with_library(model: SindyModel, library: Library, free: Tensor) -> SindyModel:

@@ -325,3 +325,32 @@ def test_a_score_tells_how_far_errors_are_beyond_those_of_the_best_simple_model(
     tiny = torch.zeros_like(fold.simple)
     assert fold.exact(tiny) and fold.score(tiny) <= 0
     assert math.isfinite(fold.score(torch.full_like(tiny, math.inf)))
+
+
+@pytest.mark.slow
+def test_the_inertia_that_an_angle_changes_is_found_among_those_of_all_angles(one_fold):
+    """A rotary pendulum, driven at its arm: M(alpha) (theta'', alpha'') = torques, by Lagrange's equations."""
+    arm, pole, coupling, weight, dt = 7.6e-4, 1.33e-4, 2e-4, 0.0152, 0.01
+    swing = 1e-4  # by which the arm's inertia grows where the pole stands out, times sin(alpha)^2
+    u = steps(3, 60, 25) * 6
+
+    def slope(t, x, volts):
+        _, alpha, omega, rate = x
+        s, c = np.sin(alpha), np.cos(alpha)
+        inertia = np.array([[arm + swing * s * s, coupling * c], [coupling * c, pole]])
+        drive = 0.005 * volts - 7e-4 * omega
+        left = drive - 2 * swing * s * c * omega * rate + coupling * s * rate**2
+        right = swing * s * c * omega**2 - weight * s - 1e-5 * rate
+        return [omega, rate, *np.linalg.solve(inertia, [left, right])]
+
+    x = [np.zeros(4)]
+    for volts in u:
+        x.append(solve_ivp(slope, (0, dt), x[-1], args=(volts,), rtol=1e-8, atol=1e-10).y[:, -1])
+    angles = np.round(np.array(x)[:, :2] / (2 * np.pi / 4096)) * (2 * np.pi / 4096)
+    found = fitted(source_of(angles, u[:, None], dt, ("theta", "alpha"), ("rad", "rad"))).model
+    # det M = (arm + swing) pole (1 + p cos(alpha)^2)
+    p = -(swing * pole + coupling**2) / ((arm + swing) * pole)
+    used = {f for k in found.coefficients.any(-1).nonzero() for f in found.library.features[int(k)].factors if f.fitted}
+    (quotient,) = [f for f in used if f.function.startswith("per_cos2")]
+    assert quotient.variables == ("alpha",)
+    assert quotient.frequency == pytest.approx(p, rel=0.05)
