@@ -686,7 +686,9 @@ class _Search:
                 break
             worse = 0 if found.score < best.score else worse + 1
             last, best, window = found, _better(best, found), 2 * window
-        if best is not of:
+        if best is not of and best.structure is None:
+            self._at_prices(f"{best.what}, functions", best, replace(best.settings, rounds=0, select=True))
+        elif best is not of:
             self._select(best)
 
     def _final(self, best: Candidate, stopped: bool = False) -> LogFit:
