@@ -13,7 +13,7 @@ from torch import Tensor
 
 from dynasindy.checking.check import TOLERANCE, Check, Settings
 from dynasindy.checking.closed_loop import ClosedLoop
-from dynasindy.checking.linear_loop import NEUTRAL, find_rest, frequencies, sensitivity
+from dynasindy.checking.linear_loop import NEUTRAL, find_rest, loop_margins
 from dynasindy.control import Controller
 from dynasindy.findings import Finding, note, records, weak, wrong
 from dynasindy.sindy import SindyModel
@@ -85,7 +85,7 @@ def check_record(found: Check) -> dict[str, Any]:
 
 
 def thin_margin(controller: Controller, model: SindyModel) -> list[Finding]:
-    """Return that the disk margin is thin at ends or middles of the targets, or nothing: what `check` tells cheaply.
+    """Return that the disk margin is thin at ends or middles of the targets, or nothing; `check` tells more.
 
     Args:
         controller: The controller.
@@ -95,14 +95,11 @@ def thin_margin(controller: Controller, model: SindyModel) -> list[Finding]:
         return []
     targets, limit = Settings(*ends).targets, Thresholds().disk
     rest = find_rest(ClosedLoop(controller, model), targets)
-    rows = [rest.linear.row(k).decaying() for k in range(len(targets))]
-    margins = np.stack([1 / np.abs(sensitivity(row, frequencies(row)) - 0.5).max(0) for row in rows])
-    margins *= rest.linear.stable.numpy()[:, None]
-    margins[~rest.still.numpy()] = np.inf  # as of a mileage, which runs on
-    k, i = np.unravel_index(margins.argmin(), margins.shape)
-    facts = {"value": float(margins[k, i]), "limit": limit, "target": targets[int(k)].tolist()}
-    facts |= {"input": model.signature.input_names[int(i)]}
-    return [weak("run.thin_margin", **facts)] if margins[k, i] < limit else []
+    resting = rest.still.nonzero().flatten().tolist()  # not so a mileage, which runs on
+    rows = [(k, loop_margins(rest.linear.row(k).decaying())) for k in resting]
+    least, k, i = min(((each.disk, k, i) for k, row in rows for i, each in enumerate(row)), default=(math.inf, 0, 0))
+    facts = {"value": least, "limit": limit, "target": targets[k].tolist(), "input": model.signature.input_names[i]}
+    return [weak("run.thin_margin", **facts)] if least < limit else []
 
 
 def _named(names: Sequence[str], values: Any) -> dict[str, Any]:

@@ -54,8 +54,14 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> tupl
         return _chosen(model.step, "step")
     usual, step = closest_period(log), log.training.dt if log else 0.0
     task, (x, u) = as_planned(task, model, log), _places(model, task, log)
-    fastest, kind = _fastest_motion(model, x, u, task.outputs)
-    longest = fastest / PERIODS[kind]
+    # Which motion, at the first place or enough others, asks for the shorter period.
+    modes, times = [LocalModes(model, *place, task.outputs) for place in zip(x, u, strict=True)], dict[str, float]()
+    for kind in PERIODS:
+        first, *others = (getattr(at, kind) for at in modes)
+        enough = sorted(others)[max(0, math.ceil(SHARED * len(others)) - 1) :][:1]  # none of no other places
+        times[kind] = min([first, *enough])
+    kind = min(times, key=lambda kind: times[kind] / PERIODS[kind])
+    fastest, longest = times[kind], times[kind] / PERIODS[kind]
     if step < usual and longest < usual * (1 - 1e-6):
         step = step or _two_digits(longest)
         samples = math.floor(longest / step + 1e-6)
@@ -106,17 +112,6 @@ def _places(model: SindyModel, task: Tracking, log: Source | None) -> tuple[Tens
     hidden = data.x.isnan().all(0) & (seen == 0).all(0)  # and no rate of what is seen
     x = torch.where(hidden, middle, seen[rows])
     return torch.cat([middle.unsqueeze(0), x]), torch.cat([usual.unsqueeze(0), data.u[rows].double()])
-
-
-def _fastest_motion(model: SindyModel, x: Tensor, u: Tensor, outputs: list[int]) -> tuple[float, str]:
-    """Return which motion, at the first place or enough others, asks for the shorter period, and its time [s]."""
-    modes, times = [LocalModes(model, *place, outputs) for place in zip(x, u, strict=True)], dict[str, float]()
-    for kind in PERIODS:
-        first, *others = (getattr(at, kind) for at in modes)
-        enough = sorted(others)[max(0, math.ceil(SHARED * len(others)) - 1) :][:1]  # none of no other places
-        times[kind] = min([first, *enough])
-    kind = min(times, key=lambda kind: times[kind] / PERIODS[kind])
-    return times[kind], kind
 
 
 def _settles(env: ControlEnv, x: Tensor, u: Tensor, share: float = SETTLED) -> float:

@@ -154,7 +154,16 @@ def excitation_findings(parts: PlantComponents, rows: TensorDict) -> list[Findin
         keys = "state", "unit", "low", "high", "times"
         beyond = [dict(zip(keys, each, strict=True)) for each in units if each[-1]]
         findings.append(note("excitation.restarts", times=len(ends), beyond=beyond))
-    findings += _coarse(parts, rows)
+    plant = parts.plant
+    # Another simulator, or a rig, moves a plant of another type; behind sensors nobody knows where it was.
+    if type(plant) is ControlEnv and not plant.delay and parts.sensing is None:
+        report_progress("excitation", note="are the steps of the simulation short enough?")
+        some = rows[:: max(1, len(rows) // LOOKED_AT)]
+        x, u = some["state"], some["action"].to(some["state"].dtype)
+        needed, apart = steps_needed(plant.system, x, u, plant.dt, plant.substeps, plant.stops)
+        if needed != plant.substeps:
+            far = float(apart) if math.isfinite(apart) else None
+            findings.append(weak("plant.coarse_steps", apart=far, needed=needed))
     if count := int(rows["next", "at_stop"].sum()):
         much = count >= MUCH * rows.numel()
         findings.append((weak if much else note)("excitation.stops", count=count, total=rows.numel(), much=much))
@@ -162,20 +171,6 @@ def excitation_findings(parts: PlantComponents, rows: TensorDict) -> list[Findin
     if registered is not None and task.max_steps > registered:
         findings.append(note("plant.longer_episodes", steps=task.max_steps, registered=registered))
     return findings
-
-
-def _coarse(parts: PlantComponents, rows: TensorDict) -> list[Finding]:
-    """Return that the Runge-Kutta steps of a simulated plant, whose states are seen, are too long for it."""
-    plant = parts.plant
-    if type(plant) is not ControlEnv or plant.delay or parts.sensing is not None:
-        return []  # another simulator, or a rig, moves it, or nobody knows where it was
-    report_progress("excitation", note="are the steps of the simulation short enough?")
-    rows = rows[:: max(1, len(rows) // LOOKED_AT)]
-    x, u = rows["state"], rows["action"].to(rows["state"].dtype)
-    needed, apart = steps_needed(plant.system, x, u, plant.dt, plant.substeps, plant.stops)
-    if needed == plant.substeps:
-        return []
-    return [weak("plant.coarse_steps", apart=float(apart) if math.isfinite(apart) else None, needed=needed)]
 
 
 def within(x: Tensor, low: Tensor, high: Tensor) -> Tensor:

@@ -162,7 +162,23 @@ class Recorder(Callback):
         self.progress(episode.number, f"{came}, real steps {place.real_steps}")
         self.rows.append(row)
         self._log_scalars(row)
-        self._log_decision(episode)
+        gate, test = self.parts.gate, episode.refit
+        self.decisions.append(
+            {
+                "episode": float(episode.number),
+                "reward_error": error.reward_error,
+                "state_error": error.state_error,
+                "judged_reward_error": None if test is None else test.error.reward_error,
+                "judged_state_error": None if test is None else test.error.state_error,
+                "open_below": gate.open_below,
+                "close_above": gate.close_above,
+                "open": float(episode.trusted),
+                "held_out_error_before": None if test is None else test.error_before,
+                "held_out_error_after": None if test is None else test.error_after,
+                "refit_kept": None if test is None else float(test.kept),
+                "stored_imagined_transitions": float(len(self.parts.replay.model)),
+            }
+        )
         if due or time.perf_counter() - self.written > WRITTEN_EVERY:
             self.write_tables()
         if last or episode.number == 1:
@@ -284,25 +300,6 @@ class Recorder(Callback):
             if value is not None and key != "episode":
                 self.logger.log_scalar(key, value, step=int(row["episode"] or 0))
         self.logger.experiment.flush()  # shown at once, and kept if the run is killed
-
-    def _log_decision(self, episode: Episode) -> None:
-        """Append to `gate.csv`: what the gate saw and decided, and what became of the refit."""
-        gate, error, refit = self.parts.gate, episode.error, episode.refit
-        row = {
-            "episode": float(episode.number),
-            "reward_error": error.reward_error,
-            "state_error": error.state_error,
-            "judged_reward_error": None if refit is None else refit.error.reward_error,
-            "judged_state_error": None if refit is None else refit.error.state_error,
-            "open_below": gate.open_below,
-            "close_above": gate.close_above,
-            "open": float(episode.trusted),
-            "held_out_error_before": None if refit is None else refit.error_before,
-            "held_out_error_after": None if refit is None else refit.error_after,
-            "refit_kept": None if refit is None else float(refit.kept),
-            "stored_imagined_transitions": float(len(self.parts.replay.model)),
-        }
-        self.decisions.append(row)
 
     def write_tables(self) -> None:
         """Write `progress.csv` and `gate.csv` as they are now."""

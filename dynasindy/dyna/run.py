@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -71,7 +71,7 @@ def run(
             (folder / "error.txt").unlink(missing_ok=True)
             checkpoints.remove()  # of a process that was killed before it did
             return metrics
-        with _left_in_order(recorder, place, lambda: _what_is_kept(checkpoints, again)):
+        with _left_in_order(recorder, place, checkpoints, again):
             state = checkpoints.newest()
             if state is None and finish:
                 raise ValueError(f"{folder} keeps no checkpoint, there is nothing to finish; leave out finish=true")
@@ -131,20 +131,6 @@ def _clear(folder: Path) -> None:
         remove_leftovers(place)
 
 
-def _what_is_kept(checkpoints: Checkpoints, again: str) -> str:
-    """Return what is kept of a run that is stopped, and how it goes on."""
-    folder, done = checkpoints.folder.parent, Place()
-    if (state := checkpoints.newest()) is None:
-        return f"nothing is kept in {folder} yet, the same command begins anew"
-    done.load_state_dict(state["place"])
-    near = folder.absolute()
-    near = near.relative_to(Path.cwd()) if near.is_relative_to(Path.cwd()) else folder
-    return (
-        f"the run is kept up to the end of {done.summary()}: go on with {again} resume={near} "
-        "(with finish=true, to evaluate and draw what it has learnt instead)"
-    )
-
-
 def _restore(kept: Mapping[str, Any], state: Mapping[str, Any], folder: Path) -> None:
     """Bring the parts of a run back to a saved state."""
     try:
@@ -159,8 +145,21 @@ def _restore(kept: Mapping[str, Any], state: Mapping[str, Any], folder: Path) ->
 
 
 @contextmanager
-def _left_in_order(recorder: Recorder, place: Place, kept: Callable[[], str]) -> Iterator[None]:
+def _left_in_order(recorder: Recorder, place: Place, checkpoints: Checkpoints, again: str) -> Iterator[None]:
     """Say what was kept of a run that is asked to stop, whose numbers go wrong, or that runs out of memory."""
+
+    def kept() -> str:
+        folder, done = checkpoints.folder.parent, Place()
+        if (state := checkpoints.newest()) is None:
+            return f"nothing is kept in {folder} yet, the same command begins anew"
+        done.load_state_dict(state["place"])
+        near = folder.absolute()
+        near = near.relative_to(Path.cwd()) if near.is_relative_to(Path.cwd()) else folder
+        return (
+            f"the run is kept up to the end of {done.summary()}: go on with {again} resume={near} "
+            "(with finish=true, to evaluate and draw what it has learnt instead)"
+        )
+
     try:
         yield
     except KeyboardInterrupt as stop:

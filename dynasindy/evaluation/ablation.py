@@ -177,31 +177,28 @@ def _read_run(folder: Path, root: Path, level: Level) -> tuple[dict[str, Any], p
         if not set(metrics.get("units", {}).values()) <= {"rad"}:
             curve[SHARE] = worst_errors(curve, {name: float(extent) for name, extent in metrics["ranges"].items()})
         commit = str(read_json(origin)["commit"]) if origin.is_file() else "unknown"
-        row = {**place, **_summarise_run(curve, level), "commit": commit}
+        last, measure = curve.iloc[-1], SHARE if SHARE in curve else ERROR
+        worst = curve[SHARE] if SHARE in curve else worst_errors(curve)
+        reached = level.reached(worst.tolist(), measure == SHARE)
+        at = last * math.nan if reached is None else curve.iloc[reached]
+        errors = [name for name in curve if name.startswith(f"evaluated_{ERROR}/")]
+        spent = ("real_steps", "updates", "imagined_transitions", "wall_seconds")
+        row = {
+            **place,
+            "episodes": last["episode"],
+            "episodes_to_level": at["episode"],
+            "real_steps_to_level": at["real_steps"],
+            "plant_seconds_to_level": at["plant_seconds"],
+            "updates_to_level": at["updates"],
+            "imagined_to_level": at["imagined_transitions"],
+            "return_at_level": at["evaluated_return"],
+            "area_under_curve": curve["evaluated_return"].mean(),
+            "final_return": last["evaluated_return"],
+            measure: worst.iloc[-1],
+            **{name.removeprefix("evaluated_"): last[name] for name in (*errors, *spent)},
+            "commit": commit,
+        }
         return row, pd.DataFrame({**place, **curve}, index=curve.index)
-
-
-def _summarise_run(curve: pd.DataFrame, level: Level) -> dict[str, float]:
-    """Return what one run came to, by its evaluated episodes in order."""
-    last, measure = curve.iloc[-1], SHARE if SHARE in curve else ERROR
-    worst = curve[SHARE] if SHARE in curve else worst_errors(curve)
-    place = level.reached(worst.tolist(), measure == SHARE)
-    at = last * math.nan if place is None else curve.iloc[place]
-    errors = [name for name in curve if name.startswith(f"evaluated_{ERROR}/")]
-    spent = ("real_steps", "updates", "imagined_transitions", "wall_seconds")
-    return {
-        "episodes": last["episode"],
-        "episodes_to_level": at["episode"],
-        "real_steps_to_level": at["real_steps"],
-        "plant_seconds_to_level": at["plant_seconds"],
-        "updates_to_level": at["updates"],
-        "imagined_to_level": at["imagined_transitions"],
-        "return_at_level": at["evaluated_return"],
-        "area_under_curve": curve["evaluated_return"].mean(),
-        "final_return": last["evaluated_return"],
-        measure: worst.iloc[-1],
-        **{name.removeprefix("evaluated_"): last[name] for name in (*errors, *spent)},
-    }
 
 
 def _merged(old: pd.DataFrame, new: pd.DataFrame) -> pd.DataFrame:

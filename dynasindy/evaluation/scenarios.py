@@ -267,7 +267,19 @@ def evaluate(
         _check_action(policy, start, env.system.signature.n_u, scenario.name)
         trajectory = _run(calm, wrapped, scenario, start, sensing, phase or f"policy in scenario '{scenario.name}'")
     words = tuple(each.summary() for each in disturbing if hasattr(each, "summary"))
-    return replace(_measure(calm, task, scenario, trajectory, noise), disturbances=words)
+    # Root entries: state and reference at the moment an action is chosen, so that a step begins at time zero.
+    time, signature = torch.arange(trajectory.shape[-1], dtype=torch.float64) * calm.dt, env.system.signature
+    outputs = [signature.state_index(name) for name in task.output_names]
+    y, r, u = trajectory["state"][..., outputs], trajectory["reference"], trajectory["action"]
+    # Of an angle no error is small beside many turns: one turn is the most that errors are a share of.
+    turns = torch.tensor([turn_of(signature.state_units[i]) for i in outputs], dtype=torch.float64)
+    boxes = task.boxes().minimum(turns) if isinstance(task, Tracking) else torch.ones(len(outputs))
+    windows = tuple((start, end) for start, end in scenario.windows or ()) if scenario.plant else ()
+    until, floor = min((start for start, _ in windows), default=math.inf), noise[outputs].nan_to_num(posinf=0.0)
+    metrics = tracking_metrics(time, y, r, u, boxes, until, floor)
+    ends = tuple(zip(*task.ends, strict=True)) if isinstance(task, Tracking) and task.ends else ()
+    extents, columns = tuple(boxes.tolist()), tuple(outputs)
+    return Evaluation(scenario.name, signature, columns, time, trajectory, metrics, windows, extents, words, ends)
 
 
 def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEnv, Task]:
@@ -326,19 +338,3 @@ def _check_action(policy: Policy, start: TensorDictBase, n_u: int, name: str) ->
         given = f"no action for an observation of {n_o} numbers ({first})"
     if given != f"an action of shape {wanted}":
         raise ValueError(f"the policy gave {given} in scenario '{name}', the plant takes {wanted}; load its own policy")
-
-
-def _measure(env: ControlEnv, task: Task, scenario: Scenario, trajectory: TensorDictBase, noise: Tensor) -> Evaluation:
-    # Root entries: state and reference at the moment an action is chosen, so that a step begins at time zero.
-    time = torch.arange(trajectory.shape[-1], dtype=torch.float64) * env.dt
-    outputs = [env.system.signature.state_index(name) for name in task.output_names]
-    y, r, u = trajectory["state"][..., outputs], trajectory["reference"], trajectory["action"]
-    # Of an angle no error is small beside many turns: one turn is the most that errors are a share of.
-    turns = torch.tensor([turn_of(env.system.signature.state_units[i]) for i in outputs], dtype=torch.float64)
-    boxes = task.boxes().minimum(turns) if isinstance(task, Tracking) else torch.ones(len(outputs))
-    windows = tuple((start, end) for start, end in scenario.windows or ()) if scenario.plant else ()
-    until, floor = min((start for start, _ in windows), default=math.inf), noise[outputs].nan_to_num(posinf=0.0)
-    metrics = tracking_metrics(time, y, r, u, boxes, until, floor)
-    ends = tuple(zip(*task.ends, strict=True)) if isinstance(task, Tracking) and task.ends else ()
-    extents, signature, columns = tuple(boxes.tolist()), env.system.signature, tuple(outputs)
-    return Evaluation(scenario.name, signature, columns, time, trajectory, metrics, windows, extents, ends=ends)

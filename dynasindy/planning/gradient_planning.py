@@ -31,7 +31,7 @@ from dynasindy.progress import report_progress
 from dynasindy.safe_io import checked
 from dynasindy.sentences import setting
 from dynasindy.systems import Diverged, System
-from dynasindy.tasks import Task, Tracking
+from dynasindy.tasks import Tracking
 
 REAL_STARTS, JUMPS = 0.25, 0.25
 """Shares of imagined episodes that begin at real states, and where the last one ended, so that the reference jumps; the
@@ -201,7 +201,16 @@ class GradientPlanning(Planner):
         self.check_every = check_every
         self.input_delay, self.others = input_delay, list(others)
         self.rng = torch.Generator().manual_seed(seed)
-        self.env = ControlEnv(env.system, _imagined_task(env.task, width, warm_start), env.dt, substeps or 1)
+        task = env.task
+        if warm_start and not isinstance(task, Tracking):
+            raise ValueError(
+                f"task {type(task).__name__} has no targets to hold the plant at; leave out "
+                f"{setting('planning.warm_start')}"
+            )
+        if width is not None and isinstance(task, Tracking):  # a cost whose slope does not vanish near zero
+            reward, task = task.reward_function, task.fenced(FENCE)
+            task.reward_function = replace(reward, error_shape="linear", width=width, bonus=0.0)
+        self.env = ControlEnv(env.system, task, env.dt, substeps or 1)
         self.env.stops = env.stops
         self.held_out = Rows.draw(self.env, 64, torch.Generator().manual_seed(seed + 1))
         self.finest, self.phase = env.substeps, 0
@@ -408,17 +417,3 @@ def _network(policy: nn.Module) -> nn.Module:
     network = policy.module
     assert isinstance(network, nn.Module)
     return network
-
-
-def _imagined_task(task: Task, width: float | None, warm_start: bool | None) -> Task:
-    """Return the task with a cost whose slope does not vanish near zero, where there is a width and a reference."""
-    if warm_start and not isinstance(task, Tracking):
-        raise ValueError(
-            f"task {type(task).__name__} has no targets to hold the plant at; leave out "
-            f"{setting('planning.warm_start')}"
-        )
-    if width is None or not isinstance(task, Tracking):
-        return task
-    smooth = task.fenced(FENCE)
-    smooth.reward_function = replace(task.reward_function, error_shape="linear", width=width, bonus=0.0)
-    return smooth

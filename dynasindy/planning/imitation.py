@@ -148,14 +148,22 @@ def _imitate(
     network: nn.Module, law: Law, env: ControlEnv, rng: torch.Generator, lessons: tuple[int, int] = REGULATED
 ) -> None:
     """Train a policy to act as a law does, where the law leads and then where the policy itself leads."""
-    (rounds, steps), seen, told = lessons, [], []
+    (rounds, steps), seen, told, task, batch = lessons, [], [], env.task, torch.Size((ROWS,))
+    assert isinstance(task, Tracking)
 
     def _trembling(observation: Tensor) -> Tensor:  # the noise shows more of the plant
         u = law(observation)
         return env.task.limit(u + 0.1 * torch.randn(u.shape, generator=rng))
 
     for k in track("imitation of a regulator", range(rounds), rounds, "rounds"):
-        seen.append(_visited(network if k else _trembling, law, env, rng))
+        # Imagined episodes, half of them begun around rests.
+        params, other = task.sample(batch, rng), task.reference(task.sample(batch, rng), torch.zeros(ROWS, 1))
+        x = task.initial_state(batch, rng).float()
+        x[::2] = law.near(other, rng)[::2]
+        pilot = network if k else _trembling
+        whole = imagine(env, pilot, _rows(env, x, params), min(PERIODS, task.max_steps))
+        with torch.no_grad():
+            seen.append(whole.observations(task)[whole.alive[:-1]].float())
         told.append(law(seen[-1]))
         _lesson(network, torch.cat(seen), torch.cat(told), steps, rng)
 
@@ -170,18 +178,6 @@ def _lesson(network: nn.Module, observations: Tensor, wanted: Tensor, steps: int
         optimizer.zero_grad()
         torch.autograd.backward(loss)
         optimizer.step()
-
-
-@torch.no_grad()
-def _visited(pilot: Network, law: Law, env: ControlEnv, rng: torch.Generator) -> Tensor:
-    """Return observations along imagined episodes, half of them begun around rests, `(n, n_o)`."""
-    task, batch = env.task, torch.Size((ROWS,))
-    assert isinstance(task, Tracking)
-    params, other = task.sample(batch, rng), task.reference(task.sample(batch, rng), torch.zeros(ROWS, 1))
-    x = task.initial_state(batch, rng).float()
-    x[::2] = law.near(other, rng)[::2]
-    whole = imagine(env, pilot, _rows(env, x, params), min(PERIODS, task.max_steps))
-    return whole.observations(task)[whole.alive[:-1]].float()
 
 
 def _rows(env: ControlEnv, x: Tensor, params: Tensor) -> Rows:

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.rollout import Network, sensitivities
+from dynasindy.planning.rollout import Network, policy_gain, sensitivities
 from dynasindy.systems.equilibria import Equilibria
 from dynasindy.tasks.references import Step
 
@@ -91,10 +91,8 @@ class RestSlopes:
 
     def _gain(self, network: Network, places: Tensor) -> Tensor:
         """Return K at some rests, `(n, n_u, n_x)`, with its graph."""
-        x = self.x[places].requires_grad_()
-        u = network(self.env.task.observation(x, self.params[places], torch.zeros(len(x), 1)))
-        slopes = [torch.autograd.grad(column.sum(), x, create_graph=True)[0] for column in u.unbind(-1)]
-        return torch.stack(slopes, -2)
+        x, params = self.x[places], self.params[places]
+        return policy_gain(self.env, network, x, params, torch.zeros(len(x), 1), graph=True)[1]
 
     def _lack(self, k: Tensor, places: Tensor) -> Tensor:
         """Return what gains lack at some rests, `(n,)`."""

@@ -195,8 +195,10 @@ def backward(env: ControlEnv, network: Network, rows: Rows, window: Window) -> T
         if window.machine is not None:
             window.machine.adjoint(a, b, cost, effort)
             return reward
-        actions, k = _policy(env, network, window)
-        whole = _adjoint(a, b, cost, effort, rows.late, k)
+        # In chunks of periods.
+        parts = zip(*(part.split(CHUNK) for part in (window.states[:-1], window.params, window.times[:-1])))
+        actions, gains = zip(*(policy_gain(env, network, *part) for part in parts), strict=True)
+        whole = _adjoint(a, b, cost, effort, rows.late, torch.cat(gains))
         for acted, slopes in zip(actions, whole.split(CHUNK), strict=True):
             torch.autograd.backward(acted, slopes)
     return reward
@@ -216,16 +218,14 @@ def sensitivities(env: ControlEnv, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor
     return torch.stack([row[0] for row in rows], -2), torch.stack([row[1] for row in rows], -2)
 
 
-def _policy(env: ControlEnv, network: Network, window: Window) -> tuple[list[Tensor], Tensor]:
-    """Return the actions with their graphs, in chunks of periods, and K, `(T, rows, n_u, n_x)`."""
-    actions, gains = [], []
-    for x, params, t in zip(*(part.split(CHUNK) for part in (window.states[:-1], window.params, window.times[:-1]))):
-        seen = x.detach().requires_grad_()
-        acted = network(env.task.observation(seen, params, t))
-        columns = [torch.autograd.grad(column.sum(), seen, retain_graph=True)[0] for column in acted.unbind(-1)]
-        actions.append(acted)
-        gains.append(torch.stack(columns, -2))
-    return actions, torch.cat(gains)
+def policy_gain(
+    env: ControlEnv, network: Network, x: Tensor, params: Tensor, t: Tensor, graph: bool = False
+) -> tuple[Tensor, Tensor]:
+    """Return a policy's actions with their graph, and K = du/dx, `(*batch, n_u, n_x)`, if asked with its graph."""
+    x = x.detach().requires_grad_()
+    u = network(env.task.observation(x, params, t))
+    slopes = [torch.autograd.grad(each.sum(), x, retain_graph=True, create_graph=graph)[0] for each in u.unbind(-1)]
+    return u, torch.stack(slopes, -2)
 
 
 def _cost(env: ControlEnv, window: Window) -> tuple[Tensor, Tensor, Tensor | None]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -114,7 +113,15 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
     seconds = array(dt * np.arange(y.shape[1]))
     near = np.isfinite(y) & (np.abs(y - targets) <= reach)
     stays = ~flights.away(found.reach).numpy()
-    looks = _looks(stays.tolist(), f"coefficients {found.spread.how.partition(', ')[0]}")
+    how, drawn, away = f"coefficients {found.spread.how.partition(', ')[0]}", len(y) - 1, int((~stays[1:]).sum())
+    words = {
+        True: f"{drawn - away} of {drawn} plants, {how}" if away else f"{drawn} plants, {how}",
+        False: f"{away} of these {drawn} that run away, cut off at the edges",
+    }
+    model = "the model itself" if stays[0] else "the model itself, which runs away"
+    # The model lies broad below the others, which often coincide with it and could not be seen behind it.
+    looks: list[dict[str, Any]] = [{"color": BLUE, "linewidth": 3.0, "label": model}]
+    looks += ({"color": SKY if it else ORANGE, "linewidth": 0.8, "label": words[it]} for it in stays[1:].tolist())
     for i, (axis, state) in enumerate(zip(axes, outputs, strict=False)):
         axis.axhline(targets[i], color=BLACK, linestyle="--", linewidth=1.2, label="target")
         for row, look in zip(y, looks, strict=True):
@@ -133,20 +140,6 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
     legend(axes[0], "above")
     time_axis(axes[-1], seconds)
     return figure
-
-
-def _looks(stays: Sequence[bool], how: str) -> list[dict[str, Any]]:
-    """Return how the model, the first row, and each other plant are drawn, and what the legend calls them."""
-    drawn, away = len(stays) - 1, stays[1:].count(False)
-    near = f"{drawn - away} of {drawn} plants, {how}" if away else f"{drawn} plants, {how}"
-    far = f"{away} of these {drawn} that run away, cut off at the edges"
-    others = {
-        near_it: {"color": color, "linewidth": 0.8, "label": words}
-        for near_it, color, words in ((True, SKY, near), (False, ORANGE, far))
-    }
-    model = "the model itself" if stays[0] else "the model itself, which runs away"
-    # The model lies broad below the others, which often coincide with it and could not be seen behind it.
-    return [{"color": BLUE, "linewidth": 3.0, "label": model}, *(others[one] for one in stays[1:])]
 
 
 def _recovery(found: Check, limits: Thresholds) -> Figure:

@@ -391,8 +391,7 @@ def _wave(results: Results, plant: str, experiment: str, shape: str) -> Made:
     settings = ("rollouts_800", "rollouts_0")
     runs = {SETTINGS[name]: results.run(plant, experiment, name) for name in settings}
     tables, figure = _draw_tracking(runs, shape, f"{shape.capitalize()} wave: plant {plant}, experiment {experiment}")
-    flown = (array(tables[MANY][names]) for names in ("time", REFERENCES, TRACKED))
-    yield from (judge_sine if shape == "sine" else judge_square)(*flown)
+    yield from judge_wave(shape, *(array(tables[MANY][names]) for names in ("time", REFERENCES, TRACKED)))
     caption = f"The {shape} wave on `{plant}`, after {runs[MANY].settings['train']['episodes']} episodes."
     yield Picture(f"{shape}_{plant}_{experiment}", figure, caption, [run.source for run in runs.values()])
 
@@ -502,21 +501,16 @@ def judge_steps(scores: Mapping[str, Score]) -> Iterator[Judgement]:
         yield _judge(statement, EXACT, words, smallest, planned <= FINE)
 
 
-def judge_sine(time: Array, target: Array, output: Array) -> Iterator[Judgement]:
-    """Judge a sine, `(T, 2)` each: the reference, and the outputs with the model [rad]."""
-    rmse = np.sqrt(np.mean((output - target)[time >= TRANSIENT] ** 2, axis=0))
-    statement = f"with the model the sine is followed (RMSE under {100 * FOLLOWS:g} % of it)"
-    return _judge_waves(statement, f"RMSE after {TRANSIENT:g} s: {{:.3g}} rad of {{:.3g}} rad", rmse, target)
-
-
-def judge_square(time: Array, target: Array, output: Array) -> Iterator[Judgement]:
-    """Judge a square wave, `(T, 2)` each: the reference, and the outputs with the model [rad]."""
-    errors = [_at_levels(time, *axis) for axis in zip(target.T, output.T, strict=True)]
-    words = f"{{:.3g}} rad over the last {SETTLED:g} s of each level of {{:.3g}} rad"
-    return _judge_waves("with the model each level is held with little steady-state error", words, errors, target)
-
-
-def _judge_waves(statement: str, words: str, errors: Iterable[float], target: Array) -> Iterator[Judgement]:
+def judge_wave(shape: str, time: Array, target: Array, output: Array) -> Iterator[Judgement]:
+    """Judge a sine or square wave, `(T, 2)` each: the reference, and the outputs with the model [rad]."""
+    if shape == "sine":
+        errors = np.sqrt(np.mean((output - target)[time >= TRANSIENT] ** 2, axis=0))
+        statement = f"with the model the sine is followed (RMSE under {100 * FOLLOWS:g} % of it)"
+        words = f"RMSE after {TRANSIENT:g} s: {{:.3g}} rad of {{:.3g}} rad"
+    else:
+        errors = array([_at_levels(time, *axis) for axis in zip(target.T, output.T, strict=True)])
+        statement = "with the model each level is held with little steady-state error"
+        words = f"{{:.3g}} rad over the last {SETTLED:g} s of each level of {{:.3g}} rad"
     for axis, error, size in zip(AXES.values(), errors, np.abs(target).max(0), strict=True):
         yield _judge(f"{axis}: {statement}", WAVES, words.format(error, size), bool(error < FOLLOWS * size))
 

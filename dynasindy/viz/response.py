@@ -87,7 +87,13 @@ def tracking(
             axis.plot(_row_times(seconds, array(y)), array(y)[:, i], label=of, **look)
         axis.set_ylabel(label(name, signature.state_units[signature.state_index(name)]))
         if settling and target is not None and bool((target == target[0]).all()):
-            _draw_settling(axis, seconds, float(target[0, i]), [float(array(y)[0, i]) for y in outputs.values()])
+            # The band in which the step metrics call it settled, and the seconds at its end.
+            (start, end), aim = time_span(seconds), float(target[0, i])
+            half = SETTLING_BAND * max((abs(aim - float(array(y)[0, i])) for y in outputs.values()), default=0.0)
+            axis.axhspan(aim - half, aim + half, color=GREY, alpha=0.2, lw=0, label=f"{100 * SETTLING_BAND:g} % band")
+            steady = steady_seconds(float(seconds[1] - seconds[0]), len(seconds)) if len(seconds) > 1 else 0.0
+            text = f"steady state: last {format_duration(steady, longest=end - start, digits=3)}"
+            axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=text)
     for i, axis in enumerate(axes[len(names) :]):
         for (of, u), look in zip(inputs.items(), line_styles(inputs).values(), strict=True):
             draw_input(axis, seconds, array(u), signature, i, linewidth=1.0, label=of, **look)
@@ -229,16 +235,6 @@ def _draw_excitation(found: tuple[Array, Array, Array], wiring: Wiring, guard: G
 def _row_times(seconds: Array, rows: Array) -> Array:
     """Return the times of rows, the last of which may be a row after the last control period."""
     return seconds if len(rows) <= len(seconds) else np.append(seconds, time_span(seconds)[1])
-
-
-def _draw_settling(axis: Axes, seconds: Array, target: float, starts: Sequence[float]) -> None:
-    """Draw the band around a step's target in which the step metrics call it settled, and the seconds at its end."""
-    start, end = time_span(seconds)
-    half = SETTLING_BAND * max((abs(target - at) for at in starts), default=0.0)
-    axis.axhspan(target - half, target + half, color=GREY, alpha=0.2, lw=0, label=f"{100 * SETTLING_BAND:g} % band")
-    steady = steady_seconds(float(seconds[1] - seconds[0]), len(seconds)) if len(seconds) > 1 else 0.0
-    text = f"steady state: last {format_duration(steady, longest=end - start, digits=3)}"
-    axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=text)
 
 
 @styled

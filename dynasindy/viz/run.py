@@ -65,11 +65,7 @@ def draw_run(
     Returns:
         The files, in `folder/figures`.
     """
-    return save_figures(_figures(folder, signature, controller), folder / "figures", formats)
-
-
-def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, Figure]:
-    names, inputs, figures = list(signature.state_names), list(signature.input_names), {}
+    names, inputs, figures = list(signature.state_names), list(signature.input_names), dict[str, Figure]()
     found = read_json(folder / "metrics.json") if (folder / "metrics.json").is_file() else {}
     excited = read_table(folder / "data" / "excitation.csv")
     figures["excitation"] = training_data(excited["time"], None, excited[inputs], signature, "Excitation")
@@ -104,7 +100,7 @@ def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, F
     title = f"{'Step response' if step else 'Response'}\n{which}".strip()  # which episode of how many it is
     y, u = {controller: response[outputs]}, {controller: held[inputs]}
     figures["step_response"] = tracking(held["time"], reference, y, u, outputs, signature, title)
-    return figures
+    return save_figures(figures, folder / "figures", formats)
 
 
 def periods(table: pd.DataFrame, inputs: Sequence[str]) -> pd.DataFrame:

@@ -40,7 +40,7 @@ def sine(part: float, until: float = np.inf) -> Judgement:
     """Followed with an offset that is a part of the amplitude, from the start until some time."""
     time = np.arange(0.0, 60.0, 0.1)
     target = 0.4 * np.sin(np.pi * time / 30)[:, None].repeat(2, 1)
-    return next(report.judge_sine(time, target, target + 0.4 * part * (time < until)[:, None]))
+    return next(report.judge_wave("sine", time, target, target + 0.4 * part * (time < until)[:, None]))
 
 
 def square(model) -> list[Judgement]:
@@ -48,7 +48,7 @@ def square(model) -> list[Judgement]:
     time = np.arange(0.0, 40.0, 0.1)
     since = (np.arange(400) % 100 / 10)[:, None]
     target = np.where(np.arange(400) % 200 < 100, 0.4, -0.4)[:, None].repeat(2, 1)
-    return [*report.judge_square(time, target, model(target, since))]
+    return [*report.judge_wave("square", time, target, model(target, since))]
 
 
 def learning(*error: float, below: float = 0.05) -> Verdict:
