@@ -28,7 +28,8 @@ def main(cfg: Any) -> None:
     if controller is None or model is None:
         raise ValueError(f"{run} lacks controller or model of the plant; give the folder of a run that has ended")
     own: Any = OmegaConf.to_container(cfg)
-    file = (run if run.is_dir() else run.parent) / "config.yaml"
+    home = run if run.is_dir() else run.parent
+    file, metrics = home / "config.yaml", home / "metrics.json"
     with reading(file):
         saved: Any = OmegaConf.to_container(read_config(file)) if file.is_file() else {}
         plant, task = saved.get("plant") or {}, saved.get("task") or {}
@@ -41,15 +42,14 @@ def main(cfg: Any) -> None:
     folder = output_folder(run, "check", cfg.folder)
     found = check(ClosedLoop(controller, model), settings)
     record = check_record(found)
-    metrics = folder.parent / "metrics.json"
     if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
         add_to_json(metrics, "check", {"stable": bool(found.stable.all()), "findings": record["findings"], **ends})
     write_json(folder / "check.json", record)
     save_figures(draw_check(found), folder, cfg.formats)
-    told = read_json(run / "metrics.json").get("findings", ()) if (run / "metrics.json").is_file() else ()
-    doubts = lines(Finding.from_record(each) for each in told if each["code"] == "model.unexplained")
+    of_run = read_json(metrics).get("findings", ()) if metrics.is_file() else ()
+    missed = lines(Finding.from_record(each) for each in of_run if each["code"] == "model.unexplained")
     verdict = check_lines(check_verdict(found))
-    say("What the model predicts; the plant was not asked.", *doubts, *verdict, f"Files: {folder}")
+    say("What the model predicts; the plant was not asked.", *missed, *verdict, f"Files: {folder}")
     if bool(unstable_targets(found).any()):
         sys.exit(1)
 

@@ -56,7 +56,18 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
     """
     job = HydraConfig.get()
     if cfg.resume is not None:
-        cfg = _resumed(cfg, job)
+        # The run's own settings, in the folder where it is now.
+        own = ("resume", "finish", "threads", "plugins", "device")
+        if others := [word for word in job.overrides.task if word.partition("=")[0] not in own]:
+            raise ValueError(f"resume={cfg.resume} goes on with the run's own settings; leave out {' '.join(others)}")
+        folder, saved = Path(cfg.resume), load_config(Path(cfg.resume), cfg.plugins)
+        ended = (folder / "metrics.json").is_file() and not (folder / "checkpoints").is_dir()
+        if ended and result(folder, saved.train.episodes) is None:
+            raise ValueError(
+                f"{folder} holds results and no checkpoint to go on from; give the folder of a stopped run"
+            )
+        new = {"folder": str(folder.absolute()), **{name: cfg[name] for name in own if name != "plugins"}}
+        cfg = DictConfig({**saved, **new})
     if cfg.system is None:
         instead = f"choose another, or fit a model to the log: {program('identify')} data=csv data.path=FILE"
         raise ValueError(f"system={job.runtime.choices.system} is no plant to train on, only a log of one; {instead}")
@@ -123,19 +134,6 @@ def improvements(
         lacks = lacks if episodes is None else "the model lacks, with which functions in plant.library"
         steps.append(command_line("identify", [word for word in words if word not in own], f"tells what {lacks}"))
     return next_steps(*steps)
-
-
-def _resumed(cfg: DictConfig, job: DictConfig) -> DictConfig:
-    """Return the config of the run to resume, in the folder where it is now."""
-    own = ("resume", "finish", "threads", "plugins", "device")
-    if others := [word for word in job.overrides.task if word.partition("=")[0] not in own]:
-        raise ValueError(f"resume={cfg.resume} goes on with the run's own settings; leave out {' '.join(others)}")
-    folder, saved = Path(cfg.resume), load_config(Path(cfg.resume), cfg.plugins)
-    ended = (folder / "metrics.json").is_file() and not (folder / "checkpoints").is_dir()
-    if ended and result(folder, saved.train.episodes) is None:
-        raise ValueError(f"{folder} holds results and no checkpoint to go on from; give the folder of a stopped run")
-    new = {"folder": str(folder.absolute()), **{name: cfg[name] for name in own if name != "plugins"}}
-    return DictConfig({**saved, **new})
 
 
 def command_and_commit(job: DictConfig) -> dict[str, str]:
@@ -245,9 +243,8 @@ def _digests(cfg: DictConfig) -> dict[str, str]:
     """Return the SHA-256 of the settings and of what is read: a log that was recorded anew has the same name."""
     logs = OmegaConf.select(cfg, "data.path", default=None)
     files = (cfg.model, *([logs] if isinstance(logs, str) else logs or ()))
-    found = sorted(str(file) for file in files if file and Path(file).is_file())
-    settings = {"settings": OmegaConf.to_yaml(cfg, resolve=True).encode()}
-    texts = settings | {file: Path(file).read_bytes() for file in found}
+    texts = {"settings": OmegaConf.to_yaml(cfg, resolve=True).encode()}
+    texts |= {str(file): Path(file).read_bytes() for file in files if file and Path(file).is_file()}
     return {name: hashlib.sha256(text).hexdigest() for name, text in texts.items()}
 
 

@@ -169,8 +169,16 @@ def check(cfg: DictConfig, file: str = "", plugins: Sequence[str] = ()) -> None:
             tree.pop("excitation", None)  # nothing is excited where there is a log, and its classes import TensorDict
         if file:
             require_trusted(raw, plugins)
-        else:  # what a run read is all that its file holds
-            _require_plant_settings(tree, repr(raw))
+        else:  # settings of a plant that nothing reads are refused; what a run read is all that its file holds
+            conf = " ".join(file.read_text() for file in CONF.rglob("*.yaml"))
+            read = {"plant.functions", "plant.libraries", *re.findall(r"\bplant(?:\.\w+)+", conf + repr(raw))}
+            groups = dict(nodes({"plant": tree.get("plant")}))
+            for group in ("plant", "plant.signals"):
+                allowed = {
+                    key.removeprefix(f"{group}.").partition(".")[0] for key in read if key.startswith(f"{group}.")
+                }
+                for name in [str(name) for name in groups.get(group, ()) if name not in allowed]:
+                    raise ValueError(unknown_name(name, allowed, group))
         for key, value, hint in _values(tree, bool(file)):
             fit = _fit(value, hint, key)
             if repr(fit) != repr(value):  # 10 equals 10.0
@@ -184,17 +192,6 @@ def check(cfg: DictConfig, file: str = "", plugins: Sequence[str] = ()) -> None:
         raise ValueError(f"{file}: {what}".removeprefix(": ")) from error
     except ValueError as error:
         raise ValueError(f"{file}: {error}".removeprefix(": ")) from error
-
-
-def _require_plant_settings(tree: Any, text: str) -> None:
-    """Refuse settings of a plant that nothing reads."""
-    conf = " ".join(file.read_text() for file in CONF.rglob("*.yaml"))
-    read = {"plant.functions", "plant.libraries", *re.findall(r"\bplant(?:\.\w+)+", conf + text)}
-    groups = dict(nodes({"plant": tree.get("plant")}))
-    for group in ("plant", "plant.signals"):
-        allowed = {key.removeprefix(f"{group}.").partition(".")[0] for key in read if key.startswith(f"{group}.")}
-        for name in [str(name) for name in groups.get(group, ()) if name not in allowed]:
-            raise ValueError(unknown_name(name, allowed, group))
 
 
 def _values(tree: Any, finished: bool) -> Iterator[tuple[str, Any, Any]]:

@@ -20,7 +20,6 @@ import numpy as np
 from dynasindy.control.controller import Array, Controller
 from dynasindy.control.files import network, require_sparse
 from dynasindy.control.integral import IntegralAction
-from dynasindy.sensing import Observer
 from dynasindy.sensing.observer import FAR, LEAST, NUDGE, UNKNOWN
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.formulas import (
@@ -187,41 +186,36 @@ def controller_sources(controller: Controller, name: str = "controller") -> Sour
         "pushed": False if observer is None else observer.pushed,
     }
     if observer is not None:
-        words |= _observer_words(controller, observer)
+        model, (whole, part), dt, size = require_sparse(observer), observer.late(), observer.dt, observer.scale
+        if (n := observer.n_x + model.signature.n_u) > MANY:
+            raise ValueError(f"an observer of {n} states and inputs is too large for the stack of C, {MANY} at most")
+        late = observer.sensors.delay + whole
+        sensed = [signature.state_index(state) for state in controller.measured]
+
+        def _flow(age: int, seconds: float) -> list[tuple[int, float, int]]:
+            """Return the age of an input, and the steps by which a time is passed under it; none where it is zero."""
+            number = max(1, observer.steps(seconds).number) if seconds else 0
+            return [(age, seconds / number, number)] if number else []
+
+        words |= {
+            "model": model,
+            "found": formulas(model).with_constants(observer.pushed, len(observer.pushed)),
+            "stops": [] if observer.stops is None else observer.stops.rows(observer.n_x),
+            "measured": comment(", ".join(controller.measured)),
+            "memory": late + 2,
+            "period": _flow(late + 2, part) + _flow(late + 1, dt - part),
+            "ahead": _flow(late + 1, part) + [step for age in range(late, 0, -1) for step in _flow(age, dt)],
+            "size": size,
+            "nudge": NUDGE,
+            "strays": (observer.q * size).square() * dt,
+            "unknown": (UNKNOWN * size).square(),
+            "sensed": sensed,
+            "narrowest": (LEAST * size[sensed]).square(),
+            "far": number(FAR**2),
+            "range": [*size[: observer.n_x].tolist(), *[1.0] * model.signature.n_u],
+        }
     header, source = (fill(f"controller.{ending}", **words) for ending in "hc")
     return Sources(name, header, source, (signature.n_x, signature.n_u, task.n_r))
-
-
-def _observer_words(controller: Controller, observer: Observer) -> dict[str, Any]:
-    """Return what the templates are told of an observer; see `controller_sources` for errors."""
-    model, (whole, part), dt, size = require_sparse(observer), observer.late(), observer.dt, observer.scale
-    if (n := observer.n_x + model.signature.n_u) > MANY:
-        raise ValueError(f"an observer of {n} states and inputs is too large for the stack of C, {MANY} at most")
-    late = observer.sensors.delay + whole
-    sensed = [controller.signature.state_index(state) for state in controller.measured]
-
-    def _flow(age: int, seconds: float) -> list[tuple[int, float, int]]:
-        """Return the age of an input, and the steps by which a time is passed under it; none where it is zero."""
-        number = max(1, observer.steps(seconds).number) if seconds else 0
-        return [(age, seconds / number, number)] if number else []
-
-    return {
-        "model": model,
-        "found": formulas(model).with_constants(observer.pushed, len(observer.pushed)),
-        "stops": [] if observer.stops is None else observer.stops.rows(observer.n_x),
-        "measured": comment(", ".join(controller.measured)),
-        "memory": late + 2,
-        "period": _flow(late + 2, part) + _flow(late + 1, dt - part),
-        "ahead": _flow(late + 1, part) + [step for age in range(late, 0, -1) for step in _flow(age, dt)],
-        "size": size,
-        "nudge": NUDGE,
-        "strays": (observer.q * size).square() * dt,
-        "unknown": (UNKNOWN * size).square(),
-        "sensed": sensed,
-        "narrowest": (LEAST * size[sensed]).square(),
-        "far": number(FAR**2),
-        "range": [*size[: observer.n_x].tolist(), *[1.0] * model.signature.n_u],
-    }
 
 
 class Native:

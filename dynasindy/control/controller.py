@@ -119,8 +119,16 @@ class ControlLaw:
             rate: How fast they move [per second], likewise.
         """
         x = y
-        if self.observer is not None:
-            x, memory = self._estimate(self.observer, memory, y)
+        if (observer := self.observer) is not None:  # x is the state for the time at which the next action arrives
+            first = (memory.covariance.diagonal(dim1=-2, dim2=-1) == 0).all(-1, keepdim=True)
+            begun = observer.begin(y)
+            moved, _, _ = observer.correct(observer.advance(Belief(memory.mean, memory.covariance), memory.inputs), y)
+            mean = torch.where(first, begun.mean, moved.mean)
+            covariance = torch.where(first.unsqueeze(-1), begun.covariance, moved.covariance)
+            x, shift = observer.ahead(mean, memory.inputs), memory.shift
+            if self.pushed:
+                shift = observer.correction(x, memory.inputs, self.setup.task.outputs, shift)
+            x, memory = x[..., : self.n_x], memory._replace(mean=mean, covariance=covariance, shift=shift)
         if self.integral is not None:
             self.integral.integral = memory.integral
         params = _line(r, rate, self.setup.dt)
@@ -135,18 +143,6 @@ class ControlLaw:
         if self.integral is not None and self.integral.integral is not None:
             memory = memory._replace(integral=self.integral.integral)
         return u, memory
-
-    def _estimate(self, observer: Observer, memory: Memory, y: Tensor) -> tuple[Tensor, Memory]:
-        """Return the state for the time at which the next action arrives, and what the observer remembers."""
-        first = (memory.covariance.diagonal(dim1=-2, dim2=-1) == 0).all(-1, keepdim=True)
-        begun = observer.begin(y)
-        moved, _, _ = observer.correct(observer.advance(Belief(memory.mean, memory.covariance), memory.inputs), y)
-        mean = torch.where(first, begun.mean, moved.mean)
-        covariance = torch.where(first.unsqueeze(-1), begun.covariance, moved.covariance)
-        x, shift = observer.ahead(mean, memory.inputs), memory.shift
-        if self.pushed:
-            shift = observer.correction(x, memory.inputs, self.setup.task.outputs, shift)
-        return x[..., : self.n_x], memory._replace(mean=mean, covariance=covariance, shift=shift)
 
 
 class Controller:

@@ -113,8 +113,28 @@ def load(path: str | Path) -> Controller:
         raise DamagedFileError(f"{file} is not of the format {FORMAT!r}; give a {NAME} of a run folder")
     with reading(file):
         signature = Signature(**record["signature"])
-        setup = _setup(signature, record["task"])
-        policy = TensorDictModule(_network(record["policy"], setup.task), in_keys=["observation"], out_keys=["action"])
+        given = record["task"]
+        outputs, substeps = list(given["outputs"]), given["substeps"]
+        if type(substeps) is not int or not 1 <= substeps <= FINEST:
+            raise ValueError(f"substeps is {str(substeps)[:40]!r}; allowed are whole numbers from 1 to {FINEST}")
+        # Files that were written before targets were kept, and before inputs had limits, have none.
+        low, high = ([_number(value) for value in row] for row in given.get("targets") or ((), ()))
+        task = Tracking(
+            signature,
+            Step([[0.0] * len(outputs)]),
+            outputs,
+            list(given["rates"]),
+            TrackingReward(error_weights=(1.0,)),
+            observe_rate=bool(given["observe_rate"]),
+            error_scale=_positive(given["error_scale"]),
+            low=low or None,
+            high=high or None,
+        )
+        limits = given.get("input_limits", task.input_limits.tolist())
+        task = task.with_input_limits([[_number(end) for end in row] for row in limits])
+        task = task.with_box([_positive(extent) for extent in given["box"]])
+        setup = ControlSetup(task, _positive(given["dt"]), substeps, _stops(given["stops"], signature.n_x))
+        policy = TensorDictModule(_network(record["policy"], task), in_keys=["observation"], out_keys=["action"])
         observer, known = None, record["observer"]
         if known is not None:
             model = SindyModel.of_record(known["model"], file)
@@ -183,30 +203,6 @@ def _unpacked(text: str, *shape: int) -> Tensor:
     if values.size != wanted or not np.isfinite(values).all():
         raise ValueError(f"its policy has {count} weights where {wanted} finite ones belong")
     return torch.from_numpy(values.astype(np.float32)).reshape(shape)
-
-
-def _setup(signature: Signature, given: Mapping[str, Any]) -> ControlSetup:
-    """Return task, control period, Runge-Kutta steps and stops."""
-    outputs, substeps = list(given["outputs"]), given["substeps"]
-    if type(substeps) is not int or not 1 <= substeps <= FINEST:
-        raise ValueError(f"substeps is {str(substeps)[:40]!r}; allowed are whole numbers from 1 to {FINEST}")
-    # Files that were written before targets were kept, and before inputs had limits, have none.
-    low, high = ([_number(value) for value in row] for row in given.get("targets") or ((), ()))
-    task = Tracking(
-        signature,
-        Step([[0.0] * len(outputs)]),
-        outputs,
-        list(given["rates"]),
-        TrackingReward(error_weights=(1.0,)),
-        observe_rate=bool(given["observe_rate"]),
-        error_scale=_positive(given["error_scale"]),
-        low=low or None,
-        high=high or None,
-    )
-    limits = given.get("input_limits", task.input_limits.tolist())
-    task = task.with_input_limits([[_number(end) for end in row] for row in limits])
-    task = task.with_box([_positive(extent) for extent in given["box"]])
-    return ControlSetup(task, _positive(given["dt"]), substeps, _stops(given["stops"], signature.n_x))
 
 
 def _number(value: object, low: float = -math.inf) -> float:

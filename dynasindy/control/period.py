@@ -129,24 +129,23 @@ def _settles(env: ControlEnv, x: Tensor, u: Tensor, share: float = SETTLED) -> f
     found = []
     for a, b in zip(*slopes(env.system, *places), strict=True):
         law = regulated(a[moved][:, moved], b[moved], env.dt, q, weights.inputs, env.system.step)
-        end = 0.0 if law is None else -math.log(share) * BEYOND * law.slowest
-        found.append(math.nan if law is None else _settling(away, law.closed.mT, extents[moved], share, end))
+        if law is None:
+            found.append(math.nan)
+            continue
+        # When outputs stay within the share of what they are at first, in periods: slow modes that outputs do not show,
+        # as a wall behind air whose temperature is held, do not count.
+        end, x, power = -math.log(share) * BEYOND * law.slowest, away, law.closed.mT
+        sizes, times, step, period = [], [], 1, 0
+        while period <= end:
+            for _ in range(FINE):
+                sizes.append((x / extents[moved]).abs().amax())
+                times.append(period := period + step)
+                x = x @ power
+            power, step = power @ power, 2 * step
+        outside = (torch.stack(sizes) > share * sizes[0]).nonzero()
+        found.append(float(times[int(outside.amax())]) if len(outside) else 0.0)
     seconds = env.dt * torch.tensor(found, dtype=torch.float64)
     return float(seconds[0].fmin(seconds[1:].nanmedian()).nan_to_num(nan=0.0))
-
-
-def _settling(x: Tensor, power: Tensor, extents: Tensor, share: float, end: float) -> float:
-    """Return when outputs stay within a share of what they are at first, watched until an end [periods]."""
-    # Slow modes that outputs do not show, as a wall behind air whose temperature is held, do not count.
-    sizes, times, step, k = [], [], 1, 0
-    while k <= end:
-        for _ in range(FINE):
-            sizes.append((x / extents).abs().amax())
-            times.append(k := k + step)
-            x = x @ power
-        power, step = power @ power, 2 * step
-    outside = (torch.stack(sizes) > share * sizes[0]).nonzero()
-    return float(times[int(outside.amax())]) if len(outside) else 0.0
 
 
 def _two_digits(seconds: float) -> float:

@@ -239,25 +239,20 @@ class Recorder(Callback):
         if observer is not None:
             metrics["observer"] = observer.state_dict()
             write_json(self.folder / "observer.json", metrics["observer"])
-        gate, verdict = distrusted(self.decisions), judge_run(metrics, self.evaluating.within)
-        findings = [*beyond_targets(final), *self._unexplained(), *([] if gate is None else [gate]), *verdict.findings]
+        gate, verdict, unexplained = distrusted(self.decisions), judge_run(metrics, self.evaluating.within), []
+        if sensing is None:  # of which states the model misses much of the changes; noise of sensors is none
+            seen = transitions(self.parts.replay.real_in_order(), self.parts.model_env.log_dt)
+            data = delay_inputs(seen, getattr(model, "delay", 0.0))
+            with torch.no_grad():
+                missed = moved(model, data.x, data.u, data.dt, plant.substeps, data.u_end) - data.x_next
+            shares = (missed.norm(dim=0) / (data.x_next - data.x).norm(dim=0).clamp_min(1e-300)).tolist()
+            large = {n: s for n, s in zip(model.signature.state_names, shares, strict=True) if not s <= UNEXPLAINED}
+            unexplained = [weak("model.unexplained", shares=large)] if large else []
+        findings = [*beyond_targets(final), *unexplained, *([] if gate is None else [gate]), *verdict.findings]
         metrics["verdict"] = {"usable": verdict.usable, "controlled": verdict.controlled}
         metrics["findings"] = [*self.excitation, *records(findings)]
         write_json(self.folder / "metrics.json", metrics)
         return metrics
-
-    def _unexplained(self) -> list[Finding]:
-        """Return of which states the model misses much of the changes that were seen; noise of sensors is none."""
-        parts, model = self.parts, self.parts.world_model
-        if parts.sensing is not None:
-            return []
-        seen = transitions(parts.replay.real_in_order(), parts.model_env.log_dt)
-        data = delay_inputs(seen, getattr(model, "delay", 0.0))
-        with torch.no_grad():
-            missed = moved(model, data.x, data.u, data.dt, self.plant.substeps, data.u_end) - data.x_next
-        shares = (missed.norm(dim=0) / (data.x_next - data.x).norm(dim=0).clamp_min(1e-300)).tolist()
-        large = {n: s for n, s in zip(model.signature.state_names, shares, strict=True) if not s <= UNEXPLAINED}
-        return [weak("model.unexplained", shares=large)] if large else []
 
     def state_dict(self) -> dict[str, Any]:
         """Return what was logged so far."""

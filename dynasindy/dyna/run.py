@@ -82,7 +82,16 @@ def run(
                 write_json(folder / "origin.json", dict(origin))
                 recorder.begin()
             else:
-                _restore(kept, state, checkpoints.folder)
+                try:
+                    for name, part in kept.items():
+                        part.load_state_dict(state[name])
+                except (AttributeError, AssertionError, LookupError, RuntimeError, TypeError, ValueError) as error:
+                    raise_if_memory(error)
+                    why = str(error).splitlines()[0]
+                    raise ValueError(
+                        f"{checkpoints.folder} does not fit the config.yaml beside it ({why}); restore the pair, or "
+                        "remove it to begin anew"
+                    ) from error
                 for name in ("error.txt", "metrics.json"):  # of a run that was ended early, which now goes on
                     (folder / name).unlink(missing_ok=True)
                 file, commit = folder / "origin.json", origin.get("commit")
@@ -129,19 +138,6 @@ def _clear(folder: Path) -> None:
         (folder / name).unlink(missing_ok=True)
     for place in (folder, folder / "data"):
         remove_leftovers(place)
-
-
-def _restore(kept: Mapping[str, Any], state: Mapping[str, Any], folder: Path) -> None:
-    """Bring the parts of a run back to a saved state."""
-    try:
-        for name, part in kept.items():
-            part.load_state_dict(state[name])
-    except (AttributeError, AssertionError, LookupError, RuntimeError, TypeError, ValueError) as error:
-        raise_if_memory(error)
-        why = str(error).splitlines()[0]
-        raise ValueError(
-            f"{folder} does not fit the config.yaml beside it ({why}); restore the pair, or remove it to begin anew"
-        ) from error
 
 
 @contextmanager

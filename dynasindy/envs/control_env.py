@@ -132,12 +132,9 @@ class ControlEnv(EnvBase):
             Samples after each sub-step, `(*batch, substeps, n_x)`, and whether a stop was touched, `(*batch,)`. Where
             inputs are late, the commands that arrive in the period act in place of `u`.
         """
-        if self.delay:
-            return self._advance_late(x)
-        return integrate(self.system, x, u, self.dt, self.substeps, self.stops)
-
-    def _advance_late(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Advance states under the commands that arrive; the input changes within a sample, or between two steps."""
+        if not self.delay:
+            return integrate(self.system, x, u, self.dt, self.substeps, self.stops)
+        # The input changes within a sample, or between two steps.
         before, now = (self.past[k].to(x.dtype) for k in (0, 1))
         first = split_delay(self.delay, self.dt)[1]
         if self.system.step is None:

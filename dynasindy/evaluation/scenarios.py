@@ -264,7 +264,17 @@ def evaluate(
         start = sensing.begin(start)
         noise = sensing.sensors.variance(env.system.signature).sqrt()
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng():
-        _check_action(policy, start, env.system.signature.n_u, scenario.name)
+        wanted = f"an action of shape {(*start.batch_size, env.system.signature.n_u)}"
+        try:
+            given = f"an action of shape {tuple(policy(start.clone())['action'].shape)}"
+        except (KeyError, RuntimeError) as error:
+            raise_if_memory(error)
+            n_o, first = start["observation"].shape[-1], str(error).splitlines()[0]
+            given = f"no action for an observation of {n_o} numbers ({first})"
+        if given != wanted:
+            raise ValueError(
+                f"the policy gave {given} in scenario '{scenario.name}', the plant takes {wanted}; load its own policy"
+            )
         trajectory = _run(calm, wrapped, scenario, start, sensing, phase or f"policy in scenario '{scenario.name}'")
     words = tuple(each.summary() for each in disturbing if hasattr(each, "summary"))
     # Root entries: state and reference at the moment an action is chosen, so that a step begins at time zero.
@@ -326,15 +336,3 @@ def _run(
     trajectory: TensorDictBase = torch.cat(parts, -1) if len(parts) > 1 else parts[0]
     require_finite_rollout(trajectory.transpose(0, 1).reshape(-1), f"evaluation in scenario '{scenario.name}'")
     return trajectory if sensing is None else unveiled(trajectory)
-
-
-def _check_action(policy: Policy, start: TensorDictBase, n_u: int, name: str) -> None:
-    wanted = (*start.batch_size, n_u)
-    try:
-        given = f"an action of shape {tuple(policy(start.clone())['action'].shape)}"
-    except (KeyError, RuntimeError) as error:
-        raise_if_memory(error)
-        n_o, first = start["observation"].shape[-1], str(error).splitlines()[0]
-        given = f"no action for an observation of {n_o} numbers ({first})"
-    if given != f"an action of shape {wanted}":
-        raise ValueError(f"the policy gave {given} in scenario '{name}', the plant takes {wanted}; load its own policy")

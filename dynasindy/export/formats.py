@@ -43,10 +43,12 @@ def latex_source(model: SindyModel) -> str:
     """Write the equations of a model as LaTeX, for a document with amsmath, numbers of five digits."""
     from sympy import Float, Integer, Symbol, latex, multiline_latex
 
+    def upright(word: re.Match[str]) -> str:  # in italics the letters of a word would stand for a product
+        return rf"\operatorname{{{word[0]}}}".replace(" ", r"\ ")
+
     lines = [f"% Inputs act {model.delay!r} s after they are given."] if model.delay else []
     for state, right in to_sympy(model).items():
-        # In italics the letters of a word would stand for a product.
-        names = {each: WORD.sub(_upright, latex(each)) for each in (Symbol(state), *right.free_symbols)}
+        names = {each: WORD.sub(upright, latex(each)) for each in (Symbol(state), *right.free_symbols)}
         shown = {each: Symbol(name) for each, name in names.items()}
         right = right.evalf(5)
         shown |= {each: Integer(each) for each in right.atoms(Float) if float(each).is_integer()}
@@ -54,10 +56,6 @@ def latex_source(model: SindyModel) -> str:
         left = Symbol(rf"\dot{{{name}}}" if model.step is None else f"{{{name}}}[k+1]")
         lines.append(multiline_latex(left, right.xreplace(shown), 3, "align*"))
     return "\n".join(lines) + "\n"
-
-
-def _upright(word: re.Match[str]) -> str:
-    return rf"\operatorname{{{word[0]}}}".replace(" ", r"\ ")
 
 
 def field_of(model: SindyModel, calls: Mapping[str, Any]) -> Callable[[Any, Any], list[Any]]:

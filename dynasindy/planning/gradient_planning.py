@@ -341,7 +341,7 @@ class GradientPlanning(Planner):
         """Follow the gradient, leave the best policy that was tested, and return its score and what it cost."""
         # `best` is the score of the policy as it is, -inf if it was not tested; `held` says that it holds the plant.
         optimizer, rate = _optimizer(self.network, lr), lr
-        best_weights, failures, done, made = self._weights(), 0, 0, 0
+        best_weights, failures, done, made = copy.deepcopy(self.network.state_dict()), 0, 0, 0
         for done in range(1, updates + 1):
             report_progress("planning", done, updates, "updates", f"score {best:.3g}" if math.isfinite(best) else "")
             # Ten steps of warm-up, then half a cosine down to 1 %.
@@ -355,7 +355,7 @@ class GradientPlanning(Planner):
                 score = self.test() if made else -math.inf
                 failures = 0 if score > best else failures + 1
                 if score > best:
-                    best, best_weights = score, self._weights()
+                    best, best_weights = score, copy.deepcopy(self.network.state_dict())
                 elif held and best - score > max(abs(best), GIVEN_UP):
                     # Steps so long that episodes are no longer held: go on from the best policy in shorter ones.
                     rate, failures = SHORTER * rate, 0
@@ -366,7 +366,19 @@ class GradientPlanning(Planner):
         finite = all(bool(weight.isfinite().all()) for weight in self.network.parameters())
         self.network.load_state_dict(best_weights)
         if best == -math.inf:
-            raise self._diverged(done, made, sum(each.diverged for each in episodes), finite, rate)
+            lost, windows = sum(each.diverged for each in episodes), done * self.rollouts
+            mend = f"gradient or reward is not finite: check the task's reward and shorten {setting('planning.window')}"
+            if not finite:
+                mend = f"the actor's weights left all bounds: lower {setting('planning.lr')}, now {rate}"
+            elif lost == windows:
+                mend = (
+                    f"the model explodes: add what identification.txt says it lacks to {setting('plant.library')}, "
+                    f"excite longer or with less noise, or shorten {setting('planning.window')}"
+                )
+            raise Diverged(
+                f"planning by gradient: {made} of {done} updates had a finite gradient, {lost} of {windows} imagined "
+                f"windows diverged, and no policy has a finite return, so the actor is left as it was; {mend}"
+            )
         return Imitation(best, done * self.rollouts * self.pace.window, made)
 
     def _update(self, episodes: Sequence[_Episodes], optimizer: torch.optim.Adam) -> bool:
@@ -386,24 +398,6 @@ class GradientPlanning(Planner):
         if finite:
             optimizer.step()
         return finite and alive
-
-    def _weights(self) -> dict[str, Tensor]:
-        return copy.deepcopy(self.network.state_dict())
-
-    def _diverged(self, done: int, made: int, lost: int, finite: bool, lr: float) -> Diverged:
-        windows = done * self.rollouts
-        mend = f"gradient or reward is not finite: check the task's reward and shorten {setting('planning.window')}"
-        if not finite:
-            mend = f"the actor's weights left all bounds: lower {setting('planning.lr')}, now {lr}"
-        elif lost == windows:
-            mend = (
-                f"the model explodes: add what identification.txt says it lacks to {setting('plant.library')}, excite "
-                f"longer or with less noise, or shorten {setting('planning.window')}"
-            )
-        return Diverged(
-            f"planning by gradient: {made} of {done} updates had a finite gradient, {lost} of {windows} imagined "
-            f"windows diverged, and no policy has a finite return, so the actor is left as it was; {mend}"
-        )
 
 
 def _optimizer(network: nn.Module, lr: float) -> torch.optim.Adam:

@@ -157,7 +157,19 @@ class Session:
         if done := [path for path, rows in before.items() if rows >= len(levels)]:
             self.tell(f"excitation: {done[0]} is there, so the rig is not excited again")
             return None
-        _require_reached(signal, levels, self.wiring.signature)
+        signature = self.wiring.signature
+        low, high = np.array(signature.input_limits or (WHOLE,) * signature.n_u).T
+        least, most = levels.min(0), levels.max(0)
+        beyond = np.maximum(most - high, low - least)
+        if (beyond > ROUNDING).any():
+            amplitude = np.minimum(signal.amplitude.abs().numpy(), 0.5 * (high - low))
+            offset = np.clip(signal.offset.numpy(), low + amplitude, high - amplitude)
+            k, words = int(beyond.argmax()), [f"[{','.join(f'{v:.4g}' for v in each)}]" for each in (amplitude, offset)]
+            raise ValueError(
+                f"the excitation takes {signature.input_names[k]} from {least[k]:.3g} to {most[k]:.3g}, and its "
+                f"actuator reaches {low[k]:.3g} to {high[k]:.3g}; nothing has moved: give plant.amplitude={words[0]} "
+                f"plant.offset={words[1]}, or others within these limits"
+            )
         self._tell_inputs(self.wiring.signature)
 
         name = f"excitation_{len(before)}" if before else "excitation"
@@ -222,14 +234,32 @@ class Session:
         Raises:
             ValueError: The controller is one for another plant, period or sensors; nothing has moved.
         """
-        self._require(controller)
+        mine, theirs = self.wiring.signature, controller.signature
+        sensors = controller.observer and controller.observer.sensors.channels
+        wanted = set(sensors) if sensors else set(theirs.state_names)
+        if theirs.input_names != mine.input_names:
+            raise ValueError(f"the controller sets {', '.join(theirs.input_names)}, not {', '.join(mine.input_names)}")
+        if abs(controller.dt - self.wiring.dt) > 1e-9 * self.wiring.dt:
+            raise ValueError(
+                f"the controller's period is {controller.dt:g} s, the rig's {self.wiring.dt:g} s; give dt="
+            )
+        if missing := sorted(wanted - set(self.wiring.measured)):
+            raise ValueError(f"the rig does not measure {missing[0]}, which the controller reads; plan one for it")
+        for state in sorted(wanted):
+            units = [s.state_units[s.state_index(state)] for s in (theirs, mine)]
+            if units[0] != units[1]:
+                raise ValueError(f"the controller reads {state} in {units[0]}, the rig sends {units[1]}; give one unit")
+        if mine.input_ends and not same_input_ranges(mine, theirs):
+            raise ValueError(
+                f"-1 and 1 are {_ends(mine)} on the rig, {_ends(theirs)} for the controller; give the same"
+            )
         if self.model is not None and controller is self.learnt:  # nobody knows the model of one that was given
             self.tell(f"  {_forecast_flight(controller, self.model, targets, seconds)}")
-        self._tell_inputs(controller.signature)
-        names, theirs = self.wiring.signature.state_names, set(controller.signature.state_names)
+        self._tell_inputs(theirs)
+        names = mine.state_names
 
         def _seen(y: Array) -> dict[str, float]:
-            return {name: value for name, value in zip(names, y.tolist(), strict=True) if name in theirs}
+            return {name: value for name, value in zip(names, y.tolist(), strict=True) if name in theirs.state_names}
 
         for _ in range(WARM):  # the first calls take longer than all others, the first correction among them
             controller.act(_seen(np.zeros(len(names))), targets[0])
@@ -248,28 +278,6 @@ class Session:
         self.shown[name] = shown
         self.tell(f"  {shown.summary()}")
         return flown
-
-    def _require(self, controller: Controller) -> None:
-        """Make sure that a controller is one for this rig."""
-        mine, theirs = self.wiring.signature, controller.signature
-        sensors = controller.observer and controller.observer.sensors.channels
-        wanted = set(sensors) if sensors else set(theirs.state_names)
-        if theirs.input_names != mine.input_names:
-            raise ValueError(f"the controller sets {', '.join(theirs.input_names)}, not {', '.join(mine.input_names)}")
-        if abs(controller.dt - self.wiring.dt) > 1e-9 * self.wiring.dt:
-            raise ValueError(
-                f"the controller's period is {controller.dt:g} s, the rig's {self.wiring.dt:g} s; give dt="
-            )
-        if missing := sorted(wanted - set(self.wiring.measured)):
-            raise ValueError(f"the rig does not measure {missing[0]}, which the controller reads; plan one for it")
-        for name in sorted(wanted):
-            units = [s.state_units[s.state_index(name)] for s in (theirs, mine)]
-            if units[0] != units[1]:
-                raise ValueError(f"the controller reads {name} in {units[0]}, the rig sends {units[1]}; give one unit")
-        if mine.input_ends and not same_input_ranges(mine, theirs):
-            raise ValueError(
-                f"-1 and 1 are {_ends(mine)} on the rig, {_ends(theirs)} for the controller; give the same"
-            )
 
     def _tell_inputs(self, signature: Signature) -> None:
         """Say what the numbers that the rig gets are in the units of its actuators."""
@@ -309,23 +317,6 @@ class Session:
             signature = replace(logs[0].signature, x_scale=tuple(widest))
         data = Transitions.cat([log.training for log in logs])
         return replace(logs[0], training=data, signature=signature, findings=tuple(findings))
-
-
-def _require_reached(signal: Excitation, levels: Array, signature: Signature) -> None:
-    """Make sure that an excitation, `(N, n_u)`, stays within what the actuators reach."""
-    low, high = np.array(signature.input_limits or (WHOLE,) * signature.n_u).T
-    least, most = levels.min(0), levels.max(0)
-    beyond = np.maximum(most - high, low - least)
-    if not (beyond > ROUNDING).any():
-        return
-    amplitude = np.minimum(signal.amplitude.abs().numpy(), 0.5 * (high - low))
-    offset = np.clip(signal.offset.numpy(), low + amplitude, high - amplitude)
-    place, words = int(beyond.argmax()), [f"[{','.join(f'{v:.4g}' for v in values)}]" for values in (amplitude, offset)]
-    raise ValueError(
-        f"the excitation takes {signature.input_names[place]} from {least[place]:.3g} to {most[place]:.3g}, and its "
-        f"actuator reaches {low[place]:.3g} to {high[place]:.3g}; nothing has moved: give plant.amplitude={words[0]} "
-        f"plant.offset={words[1]}, or others within these limits"
-    )
 
 
 def _ends(signature: Signature) -> str:
