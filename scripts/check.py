@@ -28,8 +28,7 @@ def main(cfg: Any) -> None:
     if controller is None or model is None:
         raise ValueError(f"{run} lacks controller or model of the plant; give the folder of a run that has ended")
     own: Any = OmegaConf.to_container(cfg)
-    home = run if run.is_dir() else run.parent
-    file, metrics = home / "config.yaml", home / "metrics.json"
+    file, metrics = ((run if run.is_dir() else run.parent) / name for name in ("config.yaml", "metrics.json"))
     with reading(file):
         saved: Any = OmegaConf.to_container(read_config(file)) if file.is_file() else {}
         plant, task = saved.get("plant") or {}, saved.get("task") or {}
@@ -38,9 +37,8 @@ def main(cfg: Any) -> None:
     if not all(ends.values()):
         raise ValueError(f"{file} holds no plant.low and plant.high; give low=[...] and high=[...] of the targets")
     tried = {key: own[key] for key in ("points", "seconds", "reach", "grid", "draws", "seed")}
-    settings = Settings(**ends, **start, **tried)
     folder = output_folder(run, "check", cfg.folder)
-    found = check(ClosedLoop(controller, model), settings)
+    found = check(ClosedLoop(controller, model), Settings(**ends, **start, **tried))
     record = check_record(found)
     if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
         add_to_json(metrics, "check", {"stable": bool(found.stable.all()), "findings": record["findings"], **ends})

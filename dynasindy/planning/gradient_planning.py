@@ -23,7 +23,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, Positive, check_memory
 from dynasindy.planning.imagined_replay import Planned, Planner
 from dynasindy.planning.imitation import Imitation, hold, imagined_rewards, improve
-from dynasindy.planning.margins import RestSlopes
+from dynasindy.planning.margins import MarginCost
 from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choose_plan_settings, find_task_equilibria
 from dynasindy.planning.randomization import InputStrength
 from dynasindy.planning.rollout import Network, Rows, Window, backward, imagine
@@ -109,8 +109,8 @@ largest one that is told [target ranges]."""
 GAIN, LEAST, ROUNDS, FALL = 0.05, 2, 6, 0.3
 """Share of its score that a further round of updates must gain for another one to follow, after how many that is asked,
 how many there are at most, and the factor on the learning rate from each to the next."""
-WATCH_EVERY = 20
-"""Updates from one look at the margins at all rests to the next."""
+SELECT_EVERY = 20
+"""Updates from one look at the margins about all equilibria to the next."""
 LARGEST_GRADIENT = 0.3
 """Bound of each gradient's norm."""
 FENCE = 40.0
@@ -215,7 +215,7 @@ class GradientPlanning(Planner):
         self.held_out = Rows.draw(self.env, 64, torch.Generator().manual_seed(seed + 1))
         self.finest, self.phase = env.substeps, 0
         self.pace = replace(PlanSettings(), **self.given)
-        self.slopes: RestSlopes | None = None
+        self.margin_cost: MarginCost | None = None
 
     def plan(self) -> Planned:
         """Improve the actor with the model as it is now.
@@ -241,7 +241,7 @@ class GradientPlanning(Planner):
         shares = torch.arange(self.rollouts).tensor_split(len(models))
         episodes = [_Episodes(self, model, len(share)) for model, share in zip(models, shares, strict=True)]
         rows = self.held_out
-        rows.reach, rows.strength, rows.late, self.slopes = episodes[0].rows.reach, None, None, None
+        rows.reach, rows.strength, rows.late, self.margin_cost = episodes[0].rows.reach, None, None, None
         if rests is not None and self.input_delay:  # three episodes in time and three that are late, in turn
             rows.late = self.input_delay * (torch.arange(len(rows.x)) // 3 % 2).unsqueeze(-1).float()
         begun, held = Imitation(-math.inf), False
@@ -261,7 +261,7 @@ class GradientPlanning(Planner):
             for each in episodes:
                 each.vary(strength)
             if strength is not None:
-                self.slopes = RestSlopes.of(self.env, rests)
+                self.margin_cost = MarginCost.of(self.env, rests)
                 rows.strength = strength.ends(len(rows.x))
                 # A policy of an earlier phase is given up for a better one only.
                 best = self.test() if best > -math.inf or not first else best
@@ -277,7 +277,7 @@ class GradientPlanning(Planner):
                 before = parts[-1].score
             # As long as those of the first phase: what it has not reached, the few updates of a later one do not.
             # Targets come before margins.
-            self.slopes = None
+            self.margin_cost = None
             parts.append(self._descend(episodes, before, pace.updates, pace.lr * FALL ** (k + 1), held))
             if k >= LEAST and parts[-1].score - before <= GAIN * abs(before):
                 break
@@ -347,8 +347,8 @@ class GradientPlanning(Planner):
             # Ten steps of warm-up, then half a cosine down to 1 %.
             fall = 0.01 + 0.99 * (0.5 * (1 + math.cos(math.pi * (done - 1) / updates)))
             optimizer.param_groups[0]["lr"] = rate * (min(1.0, done / 10) * fall)
-            if self.slopes is not None and done % WATCH_EVERY == 1:
-                self.slopes.watch(self.network)
+            if self.margin_cost is not None and done % SELECT_EVERY == 1:
+                self.margin_cost.select(self.network)
             made += self._update(episodes, optimizer)
             if done % self.check_every == 0 or done == updates:
                 # Without a step so far the rest of the phase would bring none either.
@@ -390,8 +390,8 @@ class GradientPlanning(Planner):
             backward(each.env, self.network, each.rows, window)
             alive |= bool(window.alive[-1].any())
             each.carry_on(window)
-        if self.slopes is not None:
-            self.slopes.add_gradient(self.network)
+        if self.margin_cost is not None:
+            self.margin_cost.add_gradient(self.network)
         # The sum of the models' gradients; for Adam, which takes no account of their size, it is their mean.
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), LARGEST_GRADIENT * len(episodes))
         finite = bool(norm.isfinite())

@@ -1,7 +1,7 @@
 """Margins that a policy lacks at rest in the model: a cost beside that of imagined episodes.
 
 Where a plant answers weakly, as a rotor that stands still, a loop without margin moves so little and so slowly that no
-imagined episode shows it. Its linear model does, about the rests of the model:
+imagined episode shows it. Its linear model does, about the equilibria of the model:
 
 | name   | symbol | equation                                                                         |
 | ------ | ------ | -------------------------------------------------------------------------------- |
@@ -27,23 +27,23 @@ from dynasindy.tasks.references import Step
 
 GAIN, PHASE = 2.2, math.radians(35)
 """Margins that are asked for, a little more than those of a check."""
-WATCHED = 4
-"""Rests, those that lack most, whose gradient is followed."""
+FOLLOWED = 4
+"""Equilibria, those where a policy lacks most, whose gradient is followed."""
 SHARE = 0.5
 """Largest gradient of the lack, in norms of that of the episodes, which it would drown where a loop turns unstable."""
 
 
 @dataclass
-class RestSlopes:
-    """Slopes of a model about its rests.
+class MarginCost:
+    """Cost of the margins that a policy lacks about the equilibria of a model.
 
     Attributes:
         env: Imagined environment.
         x: States, `(n, n_x)`.
-        params: Task parameters whose references rest there, `(n, n_r, 5)`.
+        params: Task parameters whose references are these outputs, `(n, n_r, 5)`.
         a, b: A and B of the states that take part, `(n, n_m, n_m)` and `(n, n_m, n_u)`.
         moved: Which states do, bool `(n_x,)`.
-        watched: Places of the rests whose gradient is followed.
+        followed: Places of the equilibria whose gradient is followed.
     """
 
     env: ControlEnv
@@ -52,31 +52,31 @@ class RestSlopes:
     a: Tensor
     b: Tensor
     moved: Tensor
-    watched: Tensor
+    followed: Tensor
 
     @classmethod
-    def of(cls, env: ControlEnv, rests: Equilibria) -> RestSlopes:
-        """Return the slopes of an imagined environment about the rests of its model."""
-        x, moved = rests.x.float(), rests.moved
-        params = Step(rests.targets.tolist()).sample(torch.Size((len(rests),)), torch.Generator())
-        a, b = sensitivities(env, x, rests.u.float())
+    def of(cls, env: ControlEnv, equilibria: Equilibria) -> MarginCost:
+        """Return the cost in an imagined environment, about the equilibria of its model."""
+        x, moved = equilibria.x.float(), equilibria.moved
+        params = Step(equilibria.targets.tolist()).sample(torch.Size((len(x),)), torch.Generator())
+        a, b = sensitivities(env, x, equilibria.u.float())
         a, b = (each.double().nan_to_num(0.0, 0.0, 0.0) for each in (a[:, moved][..., moved], b[:, moved]))
         return cls(env, x, params, a, b, moved, torch.arange(0))
 
-    def watch(self, network: Network) -> None:
-        """Choose the rests at which a policy lacks most; none where it lacks nothing."""
+    def select(self, network: Network) -> None:
+        """Choose the equilibria at which a policy lacks most; none where it lacks nothing."""
         every = torch.arange(len(self.x))
         lack = self._lack(self._gain(network, every).detach()[..., self.moved].double(), every)
-        worst = lack.topk(min(WATCHED, len(lack))).indices
-        self.watched = worst[lack[worst] > 0]
+        worst = lack.topk(min(FOLLOWED, len(lack))).indices
+        self.followed = worst[lack[worst] > 0]
 
     def add_gradient(self, network: nn.Module) -> None:
-        """Add the gradient of what a policy lacks at the rests that are watched to that of its parameters."""
-        if not len(self.watched):
+        """Add the gradient of what a policy lacks at the equilibria that were chosen to that of its parameters."""
+        if not len(self.followed):
             return
-        gain = self._gain(network, self.watched)
+        gain = self._gain(network, self.followed)
         k = gain.detach()[..., self.moved].double().requires_grad_()
-        lack, slope = self._lack(k, self.watched).sum(), torch.zeros_like(gain)
+        lack, slope = self._lack(k, self.followed).sum(), torch.zeros_like(gain)
         if not bool(lack > 0):
             return
         # Where eigenvalues meet they have no slope.
@@ -90,12 +90,12 @@ class RestSlopes:
             grad += more * largest.clamp(max=1.0).nan_to_num(0.0)
 
     def _gain(self, network: Network, places: Tensor) -> Tensor:
-        """Return K at some rests, `(n, n_u, n_x)`, with its graph."""
+        """Return K at some equilibria, `(n, n_u, n_x)`, with its graph."""
         x, params = self.x[places], self.params[places]
         return policy_gain(self.env, network, x, params, torch.zeros(len(x), 1), graph=True)[1]
 
     def _lack(self, k: Tensor, places: Tensor) -> Tensor:
-        """Return what gains lack at some rests, `(n,)`."""
+        """Return what gains lack at some equilibria, `(n,)`."""
         a, b, k = self.a[places], self.b[places], k.nan_to_num(0.0, 0.0, 0.0)
         each = torch.einsum("nxu,nuy->nuxy", b, k).unsqueeze(1)
         change = torch.tensor([GAIN - 1, 1 / GAIN - 1, cmath.exp(1j * PHASE) - 1], dtype=torch.complex128)
