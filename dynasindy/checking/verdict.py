@@ -139,7 +139,12 @@ def check_verdict(found: Check, thresholds: Thresholds | None = None) -> list[Fi
     if any(found.margins):
         findings += [*_margins(found, limits), _noise(found, limits)]
     findings += [*_steps(found, limits), *_coefficients(found, limits)]
-    return [*findings, _recovery(found, limits)] if found.planes else findings
+    if found.planes:
+        shares = {" and ".join(plane.names): plane.share for plane in found.planes}
+        error = _largest_error(found, found.planes[0].steady_error.unsqueeze(0), limits) | {"limit": limits.recovered}
+        facts = {"shares": shares, "reach": found.settings.reach, "tried": found.planes[0].back.numel()}
+        findings.append(_judged("recovery", min(shares.values()) >= limits.recovered, **facts, **error))
+    return findings
 
 
 def _judged(code: str, keeps: bool, **values: Any) -> Finding:
@@ -261,10 +266,3 @@ def _coefficients(found: Check, limits: Thresholds) -> list[Finding]:
     facts |= {"radius": radius, "slowest": _time_constant(radius, found.loop.dt), "ran_away": away}
     keeps = not (facts["unstable"] or away) and error["share"] <= limits.error
     return [_judged("coefficients", keeps, **facts, **error)]
-
-
-def _recovery(found: Check, limits: Thresholds) -> Finding:
-    shares = {" and ".join(plane.names): plane.share for plane in found.planes}
-    error = _largest_error(found, found.planes[0].steady_error.unsqueeze(0), limits) | {"limit": limits.recovered}
-    facts = {"shares": shares, "reach": found.settings.reach, "tried": found.planes[0].back.numel()}
-    return _judged("recovery", min(shares.values()) >= limits.recovered, **facts, **error)

@@ -149,7 +149,26 @@ class Simulated(DataSource):
         """Record a plant that may not stay by itself as training does."""
         pilot, parts, findings = RegulatedExcitation(signal), list[Transitions](), list[Finding]()
         for k, moved in enumerate((signal, unseen)):
-            bench = self._bench(system, moved, dt, self.seed + k)
+            samples = round(moved.dt / dt)
+            if samples < 1 or abs(samples * dt - moved.dt) > 1e-6 * moved.dt:
+                raise ValueError(
+                    f"data.dt is {dt:g} s, and this plant is excited as in training, in control periods of "
+                    f"{moved.dt:g} s; allowed is a time that divides the period into equal parts: leave data.dt out, "
+                    f"and give the number of parts, such as data.samples={math.ceil(moved.dt / dt)}"
+                )
+            task = Tracking(  # nothing is wanted of the plant but that it moves
+                system.signature,
+                RandomStep([0.0], [0.0]),
+                system.signature.state_names[:1],
+                rates=(),
+                reward=TrackingReward((1.0,)),
+                max_steps=moved.n_steps,
+                start=self.start,
+                bounds=self.bounds,
+            )
+            step, seed = samples * self.substeps, self.seed + k
+            plant = ControlEnv(system, task, moved.dt, step, dtype=torch.float64, seed=seed)
+            bench = PlantComponents(plant=plant, env=plant, excitation=moved)
             pilot.signal = moved
             rows = excite(bench, pilot)
             if k == 0:  # how the plant is simulated is set elsewhere than in training
@@ -157,29 +176,6 @@ class Simulated(DataSource):
             rows["next", "samples"] = rows["next", "samples"][:, self.substeps - 1 :: self.substeps]
             parts.append(transitions(rows, self.substeps * bench.plant.log_dt))
         return parts[0], parts[1], findings
-
-    def _bench(self, system: System, signal: Excitation, dt: float, seed: int) -> PlantComponents:
-        """Return the plant of which nothing is wanted but that it moves."""
-        signature = system.signature
-        samples = round(signal.dt / dt)
-        if samples < 1 or abs(samples * dt - signal.dt) > 1e-6 * signal.dt:
-            raise ValueError(
-                f"data.dt is {dt:g} s, and this plant is excited as in training, in control periods of {signal.dt:g} "
-                "s; allowed is a time that divides the period into equal parts: leave data.dt out, and give the number "
-                f"of parts, such as data.samples={math.ceil(signal.dt / dt)}"
-            )
-        task = Tracking(
-            signature,
-            RandomStep([0.0], [0.0]),
-            signature.state_names[:1],
-            rates=(),
-            reward=TrackingReward((1.0,)),
-            max_steps=signal.n_steps,
-            start=self.start,
-            bounds=self.bounds,
-        )
-        plant = ControlEnv(system, task, signal.dt, samples * self.substeps, dtype=torch.float64, seed=seed)
-        return PlantComponents(plant=plant, env=plant, excitation=signal)
 
     def _start(self, system: System, seed: int, batch: tuple[int, ...] = ()) -> Tensor:
         """Return the states in which recordings begin, `(*batch, n_x)`."""

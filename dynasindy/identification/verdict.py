@@ -134,28 +134,19 @@ def logged_input_ranges(model: SindyModel, logged: Tensor) -> dict[str, tuple[fl
     low, high = logged.amin(0), logged.amax(0)
     room = ROOM * (high - low)
     both = [*zip(model.signature.input_names, zip((low - room).tolist(), (high + room).tolist()), strict=True)]
-    followed = model.followed | _moved_alone(model)
-    reads = {name: {name, *(a for a, signal in followed.items() if signal == name)} for name, _ in both}
-    return {
-        name: known for name, known in both if any(_bent(feature, reads[name], model.signature) for feature in used)
-    }
-
-
-def _moved_alone(model: SindyModel) -> dict[str, str]:
-    """Return states that one input alone moves, linearly, and that settle, with it: as actuators, they go as far."""
-    found, inputs = {}, {*model.signature.input_names}
+    # States that one input alone moves, linearly, and that settle, go as far as it: as actuators do.
+    followed, inputs = {**model.followed}, {*model.signature.input_names}
     for name, column in zip(model.signature.state_names, model.coefficients.unbind(-1), strict=True):
         features = _used(model.library.features, column)
         read = _variables(features)
         settles = any(float(size) < 0 for word, size in zip(model.library.names, column, strict=True) if word == name)
-        if (
-            settles
-            and len(read & inputs) == 1
-            and read <= {name, *inputs}
-            and not any(_bent(f, read, model.signature) for f in features)
-        ):
-            found[name] = (read & inputs).pop()
-    return found
+        bent = any(_bent(feature, read, model.signature) for feature in features)
+        if settles and len(read & inputs) == 1 and read <= {name, *inputs} and not bent:
+            followed[name] = (read & inputs).pop()
+    reads = {name: {name, *(a for a, signal in followed.items() if signal == name)} for name, _ in both}
+    return {
+        name: known for name, known in both if any(_bent(feature, reads[name], model.signature) for feature in used)
+    }
 
 
 def targets_beyond_log(model: SindyModel, logged: Tensor, targets: Mapping[str, tuple[float, float]]) -> list[Finding]:
