@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -414,8 +415,9 @@ class _Search:
             what, models = f"{of.what}, inputs that move evenly", [_warm_started(model) for model in of.models]
             tried = self._fit(what, models, source, self._settings(select=False), of.structure)
             linear[0] = _better(of, tried)
-            self._select(linear[0])
-        near = {each.states for each in self._near(self.tried)} if self.tried else set()
+        near = {each.states: each for each in reversed(linear) if each.score < linear[0].score + HOPELESS}
+        for each in reversed(near.values()):
+            self._select(each)
         better = {each.states: each.structure for each in reversed(linear)}  # of two with the same states
         for model, source in structures if self.builder is not None else ():
             names = source.signature.state_names
@@ -642,9 +644,11 @@ class _Search:
         return _with_functions(model, lambda each: {f for f in each.factors if f.function in QUOTIENTS} <= best)
 
     def _with_larger_library(self) -> None:
-        """Try signed squares, cubic functions, and roots of what is never negative, beside the best ones so far."""
-        for what in ("signed squares", "cubic functions", "square roots"):
-            of, model = self.best, self.best.model
+        """Try signed squares, cubic functions, and roots of what is never negative, of fewest states first."""
+        near = sorted({each.states for each in self._near(self.tried)}, key=len)
+        for states, what in product(near, ("signed squares", "cubic functions", "square roots")):
+            of = min((each for each in self.tried if each.states == states), key=lambda each: each.score)
+            model = of.model
             known = {each.key for each in model.library.features}
             more = [each for each in self._functions(what, model) if each.key not in known]
             if not more:
