@@ -577,6 +577,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "fit.shape": "the number in {function} stayed at its first guess {guess:g}: the data hardly determine it",
     "fit.candidates": "{count:the one candidate predicts|of # candidates this one predicts best} up to {seconds:g} s "
     "ahead in parts of the training data that the fit had not seen: {what}",
+    "fit.added_rates": "no sensor sees {states:and}, by which the model predicts better; {known:plant.known} leaves "
+    "rates out",
     "fit.behind": "{state} up to {seconds:time} ahead was predicted {factor:.3g} times as well by the best simple "
     "model, of past samples (ARX) or the last value held, in data kept back",
     "fit.budget": "the search ended after {seconds:.0f} s of computing{stopped:?(it was stopped)}; the best model "

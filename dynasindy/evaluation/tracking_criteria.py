@@ -77,10 +77,9 @@ def judge_tracking(
     """
     last = evaluation.steady_periods
     errors = evaluation.errors[:, -last:].mean(1)
-    if moving := bool(evaluation.columns) and not bool(evaluation.resting.any()):
-        ways = evaluation.references.amax(1) - evaluation.references.amin(1)
-        ways = ways / torch.tensor(evaluation.boxes or 1.0)
-        errors = errors / ways.where(ways > 0, 1.0).clamp_max(1.0)
+    spans = (evaluation.references.amax(1) - evaluation.references.amin(1)) / torch.tensor(evaluation.boxes or 1.0)
+    if moving := bool(evaluation.columns) and not bool(evaluation.resting.any()) and bool((spans > 0).all()):
+        errors = errors / spans.clamp(1 / LOST, 1.0)  # the limit is never less than that of a target at rest
     scale = torch.tensor(evaluation.signature.x_scale, dtype=torch.float64)
     states = evaluation.trajectory["state"].double()
     x = states[:, -last:] / scale

@@ -51,7 +51,7 @@ def latex_source(model: SindyModel) -> str:
         names = {each: WORD.sub(upright, latex(each)) for each in (Symbol(state), *right.free_symbols)}
         shown = {each: Symbol(name) for each, name in names.items()}
         right = right.evalf(5)
-        shown |= {each: Integer(each) for each in right.atoms(Float) if float(each).is_integer()}
+        shown |= {each: Integer(each) for each in right.atoms(Float) if float(each).is_integer() and abs(each) < 1e5}
         name = names[Symbol(state)]
         left = Symbol(rf"\dot{{{name}}}" if model.step is None else f"{{{name}}}[k+1]")
         lines.append(multiline_latex(left, right.xreplace(shown), 3, "align*"))

@@ -639,7 +639,8 @@ class _Search:
 
         none, *_ = angles = list(dict.fromkeys([frozenset[Factor](), *read]))
         best = min(angles, key=_cost)
-        if _cost(none) - _cost(best) < 0.5 * len(dx) * math.log(TELLING):
+        few = len(dx) < SAMPLES_EACH * sum(each <= best for each in read)
+        if few or _cost(none) - _cost(best) < 0.5 * len(dx) * math.log(TELLING):
             best = none
         return _with_functions(model, lambda each: {f for f in each.factors if f.function in QUOTIENTS} <= best)
 
@@ -719,6 +720,8 @@ class _Search:
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
         seconds = self.folds[0].steps[-1] * data.dt
         findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), what=best.what, seconds=seconds)]
+        if added := [name for name in best.states if name not in self.source.signature.state_names]:
+            findings.append(note("fit.added_rates", states=added, known={}))
         if (count := int(rows.sum())) < len(data):
             stretches = int((rows.long().diff(prepend=torch.zeros(1, dtype=torch.long)) > 0).sum())
             findings.append(note("fit.fitted_to", rows=count, total=len(data), stretches=stretches))

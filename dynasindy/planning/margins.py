@@ -83,6 +83,8 @@ class MarginCost:
         found = torch.autograd.grad(lack, k)[0].nan_to_num(0.0, 0.0, 0.0)
         slope[..., self.moved] = found.float()
         learnt = [(each, each.grad) for each in network.parameters() if each.grad is not None]
+        if not learnt:
+            return
         parameters, sofar = zip(*learnt, strict=True)
         added = torch.autograd.grad(gain, parameters, slope, allow_unused=True, materialize_grads=True)
         largest = SHARE * nn.utils.get_total_norm(sofar) / nn.utils.get_total_norm(added)

@@ -142,6 +142,7 @@ def test_a_current_beside_an_angle_gets_no_rate():
     y = np.stack(x)[:, :2] + np.random.default_rng(6).normal(0, (0.002, 0.03), (len(x), 2))
     found = fitted(source_of(y, u, dt, ("angle", "i"), ("rad", "A")))
     assert found.model.signature.state_names == ("angle", "i", "angle_rate")
+    assert {f.code: f.values for f in found.report.findings}["fit.added_rates"]["states"] == ["angle_rate"]
     names = {("angle_rate", "i"): 30.0, ("i", "i"): -60.0, ("i", "u"): 60.0}
     assert {key: coefficient(found.model, *key) for key in names} == pytest.approx(names, rel=0.05)
 
