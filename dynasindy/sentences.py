@@ -287,9 +287,10 @@ def _tracked(
     seconds: float | None = None,
     rates: Sequence[str] = (),
     targets: Mapping[str, Sequence[float]] | None = None,
+    moving: bool = False,
 ) -> str:
     """Say how near a plant is held, and what becomes of states that are not tracked."""
-    texts, moving = [], within == lost
+    texts = []
     for name, each in outputs.items():
         both = " to ".join(dict.fromkeys(map(_percent, (each["least"], each["most"]))))  # one where they are alike
         reference = "of a turn" if each["of_turn"] else "of the target range"

@@ -150,6 +150,7 @@ def judge_control(
             told |= {"share": max(told["share"], share_of_runs), "swings": told["swings"] and name in flight.swings}
     controlled = False if missed or away else True if outputs else None
     facts |= {"controlled": controlled, "outputs": outputs, "within": within, "lost": lost, "away": away}
+    facts |= {"moving": first.moving}
     ringing = dict.fromkeys(name for flight in flights for name in flight.ringing)
     facts |= {"ringing": [name for name in ringing if name not in away]}
     facts |= {"idle": sorted({name for flight in flights for name in flight.idle})}

@@ -206,12 +206,12 @@ class HoldOut:
         data = source.training
         place, length = torch.arange(len(data)), round(KEPT * len(data))
         ends = [len(data) - k * length for k in range(FOLDS if len(data) < SHORT else 1)]
-        resolution = sensor_errors(data).nan_to_num()
-        found = [cls._of(source, (place < end - length) | (place >= end), resolution) for end in ends]
+        errors = sensor_errors(data).nan_to_num()
+        found = [cls._of(source, (place < end - length) | (place >= end), errors) for end in ends]
         return [each for each in found if each is not None]
 
     @classmethod
-    def _of(cls, source: Source, early: Tensor, resolution: Tensor) -> HoldOut | None:
+    def _of(cls, source: Source, early: Tensor, least: Tensor) -> HoldOut | None:
         data = source.training
         fit, kept = data.select(early), data.select(~early)
         slow = characteristic(fit, source.signature)
@@ -228,7 +228,7 @@ class HoldOut:
         held = reconstruct(kept, {}).x[starts].unsqueeze(1).expand_as(real)
         deviation = variance(data.x_next).sqrt()
         spread = (data.x_next - data.x_next.nanmean(0)).abs().nan_to_num().amax(0)
-        floor = torch.maximum(resolution, EXACT * spread)
+        floor = torch.maximum(least, EXACT * spread)
         steps = _horizon_samples(last, SOONEST * slow / data.dt)
         if linear:
             # How far ahead an unstable plant can be predicted, the linear model tells that is the best one at first: in
@@ -415,13 +415,15 @@ class _Search:
             what, models = f"{of.what}, inputs that move evenly", [_warm_started(model) for model in of.models]
             tried = self._fit(what, models, source, self._settings(select=False), of.structure)
             linear[0] = _better(of, tried)
-        near = {each.states: each for each in reversed(linear) if each.score < linear[0].score + HOPELESS}
-        for each in reversed(near.values()):
+        firsts = dict[tuple[str, ...], Candidate]()  # of each set of states the best one
+        for each in linear:
+            firsts.setdefault(each.states, each)
+        near = {states: each for states, each in firsts.items() if each.score < linear[0].score + HOPELESS}
+        for each in near.values():
             self._select(each)
-        better = {each.states: each.structure for each in reversed(linear)}  # of two with the same states
         for model, source in structures if self.builder is not None else ():
-            names = source.signature.state_names
-            if (not near or names in near) and better.get(names, model) is model:
+            first = near.get(source.signature.state_names)
+            if first is not None and first.structure is model:
                 self._regressed(model, source)
         if linear and self.best.score > 0 and (lagging := self._with_lag_states(linear[0])) is not linear[0]:
             self._select(lagging)
@@ -582,12 +584,15 @@ class _Search:
 
     def _select(self, of: Candidate) -> None:
         """Let functions come in and go, at two prices; of many those of one factor first, of too many none."""
-        # Of those that suit any plant quotients of inertias are left to regressions.
-        if of.structure is None or len(of.structure.library) == len(of.model.library):
+        if of.structure is None:  # all of its functions are in its library
+            self._at_prices(f"{of.what}, functions", of, replace(of.settings, rounds=0, select=True))
             return
+        if len(of.structure.library) == len(of.model.library):
+            return
+        # Of those that suit any plant quotients of inertias are left to regressions.
         stages, rows = [of.structure], int(self.folds[0].fit_rows().sum())
         if self.builder is not None:
-            stages = [_with_functions(of.structure, lambda each: not _is_quotient(each))]
+            stages = [_with_functions(of.structure, lambda each: not _quotients(each))]
             if len(stages[0].library) > MANY:
                 stages.insert(0, _with_functions(stages[0], lambda each: len(each.factors) <= 1))
             stages = [each for each in stages if len(each.library) * SAMPLES_EACH <= rows]
@@ -630,19 +635,19 @@ class _Search:
         """Return a model with quotients of the one angle that regressions on all functions tell, or of none."""
         late = self.best.model.delay if self.tried else 0.0
         theta, dx = _mean_rates(model, delay_and_trim(source.training.select(self.folds[0].fit_rows()), late))
-        read = [frozenset(f for f in each.factors if f.function in QUOTIENTS) for each in model.library.features]
+        quotients = [_quotients(each) for each in model.library.features]
 
         def _cost(angle: frozenset[Factor]) -> float:
-            places = [k for k, each in enumerate(read) if each <= angle]
+            places = [k for k, each in enumerate(quotients) if each <= angle]
             free = model.constraints.free[places]
             return unexplained(free, theta[:, places], dx) + 0.5 * int(free.sum()) * math.log(len(dx))
 
-        none, *_ = angles = list(dict.fromkeys([frozenset[Factor](), *read]))
+        none, *_ = angles = list(dict.fromkeys([frozenset[Factor](), *quotients]))
         best = min(angles, key=_cost)
-        few = len(dx) < SAMPLES_EACH * sum(each <= best for each in read)
+        few = len(dx) < SAMPLES_EACH * sum(each <= best for each in quotients)
         if few or _cost(none) - _cost(best) < 0.5 * len(dx) * math.log(TELLING):
             best = none
-        return _with_functions(model, lambda each: {f for f in each.factors if f.function in QUOTIENTS} <= best)
+        return _with_functions(model, lambda each: _quotients(each) <= best)
 
     def _with_larger_library(self) -> None:
         """Try signed squares, cubic functions, and roots of what is never negative, of fewest states first."""
@@ -691,9 +696,7 @@ class _Search:
                 break
             worse = 0 if found.score < best.score else worse + 1
             last, best, window = found, _better(best, found), 2 * window
-        if best is not of and best.structure is None:
-            self._at_prices(f"{best.what}, functions", best, replace(best.settings, rounds=0, select=True))
-        elif best is not of:
+        if best is not of:
             self._select(best)
 
     def _final(self, best: Candidate, stopped: bool = False) -> LogFit:
@@ -767,9 +770,9 @@ def _is_linear(feature: Feature) -> bool:
     return len(own) <= 1 and all(factor.function in ("id", "ahead") and factor.power == 1 for factor in own)
 
 
-def _is_quotient(feature: Feature) -> bool:
-    """Tell whether a function is divided by a moment of inertia."""
-    return any(factor.function in QUOTIENTS for factor in feature.factors)
+def _quotients(feature: Feature) -> frozenset[Factor]:
+    """Return the moments of inertia that a function is divided by."""
+    return frozenset(factor for factor in feature.factors if factor.function in QUOTIENTS)
 
 
 def _with_functions(model: SindyModel, wanted: Callable[[Feature], bool]) -> SindyModel:

@@ -73,7 +73,13 @@ def resolutions(data: Transitions, model: SindyModel | None = None) -> Tensor:
 
 
 def sensor_errors(data: Transitions) -> Tensor:
-    """Return the root-mean-square error of each sensor, `(n_x,)`: of a step a twelfth of its square, or its noise."""
+    """Return the root-mean-square error of each sensor, `(n_x,)`: its step / sqrt(12), or its noise where none is seen.
+
+    It is in the unit of each state, NaN of one that was not measured.
+
+    Args:
+        data: the recording.
+    """
     return torch.tensor([step / math.sqrt(12) or noise for step, noise in _steps_and_noise(data)])
 
 

@@ -365,7 +365,7 @@ class GradientPlanning(Planner):
                     break
         finite = all(bool(weight.isfinite().all()) for weight in self.network.parameters())
         self.network.load_state_dict(best_weights)
-        if best == -math.inf:
+        if best == -math.inf or not (made or held or self.pace.afar):
             lost, windows = sum(each.diverged for each in episodes), done * self.rollouts
             mend = f"gradient or reward is not finite: check the task's reward and shorten {setting('planning.window')}"
             if not finite:

@@ -53,8 +53,8 @@ ENOUGH = 2
 EXACT = 1e-3
 """Part of the rates of change, unexplained, below which the inputs act at once: a delay of a sample leaves far more."""
 TELLING = 4.0
-"""Factor on the squared error, of all states together, below which a regression tells neither a
-delay nor an inertia."""
+"""Factor on the squared error, of all states together, below which a regression tells neither a delay nor an
+inertia."""
 OBSERVED = 500
 """Samples in a window through which an observer follows the plant: so many that it matters little where it begins."""
 ALPHA = 0.7

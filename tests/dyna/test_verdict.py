@@ -41,7 +41,7 @@ def test_an_output_within_what_is_asked_for_is_controlled():
     verdict = judge_run(metrics(-2.0, -1.0))
     outputs = {"x": {"least": 0.004, "most": 0.004, "worst": 0.02, "of_turn": False}}
     facts = {"outputs": outputs, "within": 0.01, "away": {}, "idle": [], "grew": True, "ringing": []}
-    facts |= {"lost": 0.1}
+    facts |= {"lost": 0.1, "moving": False}
     assert verdict.controlled and verdict.findings[1] == note("run.tracked", controlled=True, **facts)
 
 

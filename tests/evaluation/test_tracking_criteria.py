@@ -135,6 +135,17 @@ def test_a_wave_may_be_followed_with_a_little_lag_and_not_be_ignored(lag, contro
     assert found.share == {"p": pytest.approx(error / 0.4, rel=1e-3)}
 
 
+def test_a_target_at_rest_is_held_to_its_own_limit_beside_a_wave():
+    wave = 0.2 * torch.sin(TIME)
+    x = states(p=wave, theta=0.36).expand(2, -1, 3).double()
+    r = torch.stack([wave, 0.0 * wave], -1).expand(2, -1, 2).double()
+    trajectory = TensorDict({"state": x, "reference": r}, [2, len(TIME)])
+    found = judge_tracking(
+        Evaluation("both", SIGNATURE, (0, 1), TIME, trajectory, {}, (), (4.0, 4.0)), torch.tensor([True, True, False])
+    )
+    assert found.share["theta"] == pytest.approx(0.09) and judge_control([found], 0.01)[0] is False
+
+
 def test_a_state_runs_away_from_where_it_began_and_not_from_zero():
     assert not judge(states(theta=300.0 + 0.1 * torch.sin(3 * TIME))).away  # 600 ranges
     assert judge(states(theta=300.0 + TIME)).away == {"theta": 1.0}

@@ -328,6 +328,24 @@ def test_a_score_tells_how_far_errors_are_beyond_those_of_the_best_simple_model(
     assert math.isfinite(fold.score(torch.full_like(tiny, math.inf)))
 
 
+def test_two_stores_whose_levels_are_read_need_roots_and_no_rates(one_fold):
+    """a' = 0.6 u - 0.18 sqrt(a) and b' = 0.225 sqrt(a) - 0.2 sqrt(b), as of Torricelli, u from .2 to .8."""
+    u, dt = 0.5 + 0.3 * steps(4, 25, 40), 1.0
+
+    def slope(t, x, pump):
+        a, b = np.sqrt(x)
+        return [0.6 * pump - 0.18 * a, 0.225 * a - 0.2 * b]
+
+    x = [np.array([2.8, 3.5])]
+    for pump in u:
+        x.append(solve_ivp(slope, (0, dt), x[-1], args=(pump,), rtol=1e-8).y[:, -1])
+    noise = np.random.default_rng(2).normal(0, 0.02, (len(x), 2))
+    found = fitted(source_of(np.array(x) + noise, u, dt, ("a", "b"), ("cm", "cm"))).model
+    assert found.signature.state_names == ("a", "b")
+    names = {("a", "u"): 0.6, ("a", "sqrt(a)"): -0.18, ("b", "sqrt(a)"): 0.225, ("b", "sqrt(b)"): -0.2}
+    assert {key: coefficient(found, *key) for key in names} == pytest.approx(names, rel=0.03)
+
+
 @pytest.mark.slow
 def test_the_inertia_that_an_angle_changes_is_found_among_those_of_all_angles(one_fold):
     """A rotary pendulum, driven at its arm: M(alpha) (theta'', alpha'') = torques, by Lagrange's equations."""

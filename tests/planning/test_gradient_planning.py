@@ -217,6 +217,17 @@ def test_a_phase_of_more_updates_waits_longer_for_a_better_policy(setting):
     assert waits == [3, 3, 9]
 
 
+def test_a_later_phase_that_learns_nothing_says_so_too(setting, small):
+    env, agent, replay = setting()
+    planner = GradientPlanning(env, agent, replay, updates=1, more_updates=4, **small)
+    planner.plan()
+    before = weights(agent.policy)
+    planner._update = lambda episodes, optimizer: False
+    with pytest.raises(Diverged):
+        planner.plan()
+    assert torch.equal(weights(agent.policy), before)
+
+
 def test_a_policy_that_is_told_to_begins_as_a_regulator(setting, small):
     earned = {}
     for held in (False, True):
