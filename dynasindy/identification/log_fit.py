@@ -433,7 +433,7 @@ class _Search:
             before = self.best
             has_new_state = self._with_lag_states(before) is not before
         leaders = dict[object, Candidate]()
-        for each in sorted(self._near(self.tried), key=lambda each: each.score) if self.tried else ():
+        for each in sorted(self._near(), key=lambda each: each.score):
             leaders.setdefault(each.equations, each)
         for each in list(leaders.values())[:LEADERS]:  # over longer windows
             self._windows(each)
@@ -443,9 +443,9 @@ class _Search:
             if self.best is not before:
                 self._windows(self.best)
 
-    def _near(self, candidates: Sequence[Candidate]) -> list[Candidate]:
-        """Return those that are not hopelessly behind the best one."""
-        return [each for each in candidates if each.score < self.best.score + HOPELESS]
+    def _near(self) -> list[Candidate]:
+        """Return candidates that are not hopelessly behind the best one."""
+        return [each for each in self.tried if each.score < self.best.score + HOPELESS]
 
     def _fit(
         self,
@@ -515,12 +515,9 @@ class _Search:
                 trial.fit(source.training.select(fold.fit_rows()))
                 if fold.score(fold.errors(trial, source)) < HOPELESS:
                     settings = replace(self.refinement, method="one_step", longest_delay=FARTHER * trial.delay)
-                    found = self._fit("single steps", self._each(_warm_started(trial)), source, settings)
+                    found = self._fit("single steps", [_warm_started(trial)] * len(self.folds), source, settings)
                     if found is not None and found.score < 0:  # without that rate it is the same at best
                         return
-
-    def _each(self, model: SindyModel) -> list[SindyModel]:
-        return [model] * len(self.folds)
 
     def _structures(self) -> Iterator[tuple[SindyModel, Source]]:
         """Yield the model with rates of all states, of angles and ways, of what was measured as such, and as it is."""
@@ -574,7 +571,7 @@ class _Search:
                     if time.process_time() - began > SHARE * self.refinement.seconds:
                         return best
                     signals = ", ".join(s for n, s in lagging.followed.items() if n not in last.model.followed)
-                    what, models = f"{last.what}, states that follow {signals}", self._each(lagging)
+                    what, models = f"{last.what}, states that follow {signals}", [lagging] * len(self.folds)
                     data = last.source.with_unmeasured(lagging.signature)
                     found = self._fit(what, models, data, self._settings(select=False), of.structure)
                     best, self.lag_seconds = _better(best, found), time.process_time() - began
@@ -626,7 +623,7 @@ class _Search:
             return
         names, settings = ", ".join(source.signature.state_names), self._settings(rounds=2)
         pieces = replace(settings, error="prediction", longest_delay=self.refinement.longest_delay)
-        what, begun = f"functions of {names} in simulations of {pieces.window} samples", self._each(model)
+        what, begun = f"functions of {names} in simulations of {pieces.window} samples", [model] * len(self.folds)
         if (found := self._fit(what, begun, source, pieces)) is not None:
             begun = [_warm_started(each) for each in found.models]
         self._fit(f"functions of {names} that regressions choose", begun, source, settings)
@@ -651,7 +648,7 @@ class _Search:
 
     def _with_larger_library(self) -> None:
         """Try signed squares, cubic functions, and roots of what is never negative, of fewest states first."""
-        near = sorted({each.states for each in self._near(self.tried)}, key=len)
+        near = sorted({each.states for each in self._near()}, key=len)
         for states, what in product(near, ("signed squares", "cubic functions", "square roots")):
             of = min((each for each in self.tried if each.states == states), key=lambda each: each.score)
             model = of.model
