@@ -252,19 +252,6 @@ def _identifiability(rank: int, count: int, condition: float, weakest: Mapping[s
     )
 
 
-# --- the model -------------------------------------------------------------------------------------------------------
-
-
-def verdict_lines(findings: Sequence[Finding]) -> list[str]:
-    """Return a verdict: what is wrong comes first, then what limits a promise, then what is promised.
-
-    Args:
-        findings: What the verdict is made of.
-    """
-    first, *others = gravest_first(findings)
-    return [f"verdict: {first}", *map(line, others)]
-
-
 # --- a run -----------------------------------------------------------------------------------------------------------
 
 

@@ -14,21 +14,21 @@ COMMENT = "  # "
 """What a comment behind a command begins with."""
 
 
-class TimeUnit(NamedTuple):
+class _TimeUnit(NamedTuple):
     """A unit of time: how it is written, and its length [s]."""
 
     name: str
     seconds: float
 
 
-SECONDS = TimeUnit("s", 1.0)
-FROM: tuple[tuple[float, TimeUnit], ...] = ((7200.0, TimeUnit("h", 3600.0)), (600.0, TimeUnit("min", 60.0)))
+SECONDS = _TimeUnit("s", 1.0)
+FROM: tuple[tuple[float, _TimeUnit], ...] = ((7200.0, _TimeUnit("h", 3600.0)), (600.0, _TimeUnit("min", 60.0)))
 """From which length on [s] a unit is used, the longest first; shorter ones are in seconds."""
 MANY = 10000.0
 """Length [s] from which on one alone is never in seconds; below, 1000 s is plainer than 16.67 min."""
 
 
-def duration_unit(seconds: float, running: bool = False) -> TimeUnit:
+def duration_unit(seconds: float, running: bool = False) -> _TimeUnit:
     """Return the unit in which a length of time is given, the same in words, in figures and in animations.
 
     Args:

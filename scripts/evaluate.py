@@ -14,7 +14,7 @@ def main(cfg: Any) -> None:
 
     from dynasindy.control.integral import IntegralAction
     from dynasindy.evaluation.scenarios import evaluate
-    from dynasindy.evaluation.summary import beyond_targets, evaluation_title, save_evaluation, summarise, to_text
+    from dynasindy.evaluation.summary import beyond_targets, save_evaluation, summarise, to_text
     from dynasindy.evaluation.tracking_criteria import WITHIN, judge_control, judge_tracking
     from dynasindy.progress import say, width
     from dynasindy.safe_io import output_folder
@@ -41,7 +41,7 @@ def main(cfg: Any) -> None:
         draw_evaluation(result, out, name, cfg.formats)
         if cfg.animate:
             animate(result, out / f"{scenario.name}.gif")
-        table = to_text(summarise(result), evaluation_title(result), result.units, result.told_steady_seconds, width())
+        table = to_text(summarise(result), result.title, result.units, result.told_steady_seconds, width())
         say(table, *lines(beyond_targets(result)), "")
         matter = states_that_matter(system, result.columns, result.trajectory["state"][0, 0])
         rerun = partial(evaluate, env, policy, scenario, sensing) if env.system.known else None

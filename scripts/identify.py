@@ -11,7 +11,7 @@ def main(cfg: Any) -> None:
     """Load data, fit, judge, write everything and print it."""
     from hydra.utils import instantiate
 
-    from dynasindy.identification.identify import before_fit, identify_source, to_words, write_identification
+    from dynasindy.identification.identify import before_fit, identify_source
     from dynasindy.progress import report_progress, say, width
     from dynasindy.sentences import lines
 
@@ -26,14 +26,14 @@ def main(cfg: Any) -> None:
     findings = before_fit(model, source)
     say(*lines(findings))
     found = identify_source(model, source)
-    write_identification(found, folder, findings)
+    found.save(folder, findings)
     if cfg.formats:
         from dynasindy.viz.identification import draw_identification
 
         draw_identification(found, folder, cfg.formats)
     # Of a log that tells too little to plan on, the findings say how to log anew.
     steps = [] if found.quiet and not found.predicts else [next_steps(next_command(cfg, found))]
-    say(to_words(found, width()), f"written to {folder}", *steps)
+    say(found.to_text(width()), f"written to {folder}", *steps)
 
 
 def load_data(cfg: Any) -> Any:

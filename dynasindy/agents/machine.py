@@ -126,7 +126,7 @@ class _MachineSteps(GradientSteps):
         return line_of(self._room)
 
 
-class NetworkPointers(ctypes.Structure):
+class _NetworkPointers(ctypes.Structure):
     """A perceptron as `c/perceptron.c` reads it."""
 
     _fields_ = (
@@ -141,8 +141,8 @@ class _Agent(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_int) for name in ("n_obs", "n_u", "critics")),
         *((name, ctypes.c_float) for name in ("gamma", "sigma", "clip")),
-        *((name, NetworkPointers) for name in ("actor", "critic", "target_actor", "target_critic")),
-        *((name, NetworkPointers) for name in ("actor_gradient", "critic_gradient")),
+        *((name, _NetworkPointers) for name in ("actor", "critic", "target_actor", "target_critic")),
+        *((name, _NetworkPointers) for name in ("actor_gradient", "critic_gradient")),
     )
 
 
@@ -162,11 +162,11 @@ class _Weights(ctypes.Structure):
     )
 
 
-def network_pointers(layers: Sequence[Layer]) -> NetworkPointers:
+def network_pointers(layers: Sequence[Layer]) -> _NetworkPointers:
     """Return where the tensors of layers lie; they must stay there, and not be freed, as long as it is used."""
     widths = [layers[0].weight.shape[-1], *(layer.bias.shape[-1] for layer in layers)]
     weights, biases = zip(*((layer.weight, layer.bias) for layer in layers))
-    return NetworkPointers(len(layers), (ctypes.c_int * len(widths))(*widths), _pointers(weights), _pointers(biases))
+    return _NetworkPointers(len(layers), (ctypes.c_int * len(widths))(*widths), _pointers(weights), _pointers(biases))
 
 
 def _weights(optimizer: Adam, layers: Sequence[Layer], gradients: Sequence[Layer]) -> _Weights:

@@ -330,7 +330,7 @@ HARDLY = 0.01
 """Gain, as a share of the untrained policy's return, below which a policy is said to be hardly better."""
 
 
-class RunVerdict(NamedTuple):
+class _RunVerdict(NamedTuple):
     """What a run's result is worth: whether the policy is better than the untrained one, and as `judge_control`."""
 
     usable: bool
@@ -338,7 +338,7 @@ class RunVerdict(NamedTuple):
     findings: tuple[Finding, ...]
 
 
-def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> RunVerdict:
+def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> _RunVerdict:
     """Compare the trained policy with the untrained one, and with what was asked for, in the scenario of both.
 
     Args:
@@ -357,7 +357,7 @@ def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> RunVerdict:
     else:
         compared = wrong("run.no_better", **facts, episodes=bool(metrics.get("episodes", 1)))
     controlled, tracked = judge_control([TrackingCriteria(**metrics["held"])], within, grew=usable)
-    return RunVerdict(usable, controlled, (compared, tracked))
+    return _RunVerdict(usable, controlled, (compared, tracked))
 
 
 def distrusted(decisions: Sequence[Mapping[str, float | None]]) -> Finding | None:

@@ -9,9 +9,8 @@ from typing import Any
 
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.callback import Place
-from dynasindy.dyna.checkpoint import Checkpoints
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.folder import MADE, result
+from dynasindy.dyna.folder import MADE, Checkpoints, result
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.recorder import IDENTIFICATION, Evaluating, Recorder
 from dynasindy.evaluation.summary import to_text

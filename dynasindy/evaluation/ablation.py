@@ -88,8 +88,8 @@ def gather(root: Path, results: Path, level: Level) -> pd.DataFrame:
     rows = _merged(before, pd.DataFrame([row for row, _ in runs]))
     with reading(results / TABLE):
         text = to_markdown(rows, level)
-    write_ablation(results / CURVES, _merged(curves_before, pd.concat([curve for _, curve in runs])))
-    write_ablation(results / TABLE, rows)
+    _write(results / CURVES, _merged(curves_before, pd.concat([curve for _, curve in runs])))
+    _write(results / TABLE, rows)
     write_text(results / "ablation.md", text)
     return rows
 
@@ -120,7 +120,7 @@ def read_ablation(path: Path, key: Sequence[str] = KEY) -> pd.DataFrame:
         return table
 
 
-def write_ablation(path: Path, table: pd.DataFrame) -> None:
+def _write(path: Path, table: pd.DataFrame) -> None:
     """Write a table whole and at once."""
     write_text(path, table.to_csv(index=False, float_format="%.7g", lineterminator="\n"))
 

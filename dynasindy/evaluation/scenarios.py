@@ -25,10 +25,11 @@ from dynasindy.evaluation.metrics import steady_seconds, tracking_metrics
 from dynasindy.limits import Count, check_memory, raise_if_memory
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import file_name
-from dynasindy.sensing import Sensing, unveiled
+from dynasindy.sensing import Sensing
 from dynasindy.systems import Signature, System
 from dynasindy.systems.base import turn_of
 from dynasindy.tasks import Reference, Sampled, Step, Task, Tracking
+from dynasindy.text import format_duration
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 """Reads `observation` (or `state` and `reference`) of a tensordict and writes `action`."""
@@ -139,6 +140,22 @@ class Evaluation:
         """Length of the steady state in a table to read [s]; None where no reference rests, as that of a sine."""
         moving = (self.references.diff(dim=1) != 0).any(-1).float().mean(-1) > 0.5  # more often than it rests
         return None if len(moving) and bool(moving.all()) else self.steady_seconds
+
+    @property
+    def title(self) -> str:
+        """What a table of it was measured on; errors and returns compare at equal lengths only.
+
+        It says what disturbs the plant and by how much, when it does, and that steps are judged before.
+        """
+        count, what = len(self.outputs), "reference" if self.columns else "episode"
+        facts = [f"{count} {what}{'s' * (count > 1)}", format_duration(self.seconds), *self.disturbances]
+        facts += [
+            f"disturbed from {format_duration(begin, end)} to {format_duration(end)}" for begin, end in self.windows
+        ]
+        first = min((begin for begin, _ in self.windows), default=0.0)
+        if first > 0 and not bool(self.metrics["settling_time"].isnan().all()):
+            facts.append(f"overshoot, rise and settling time from what lies before {format_duration(first)}")
+        return f"Scenario '{self.scenario}' ({', '.join(facts)})"
 
     @property
     def units(self) -> dict[str, str]:
@@ -335,4 +352,13 @@ def _run(
     report_progress(phase, total, total, "control periods")  # of the last step the environment tells no more
     trajectory: TensorDictBase = torch.cat(parts, -1) if len(parts) > 1 else parts[0]
     require_finite_rollout(trajectory.transpose(0, 1).reshape(-1), f"evaluation in scenario '{scenario.name}'")
-    return trajectory if sensing is None else unveiled(trajectory)
+    return trajectory if sensing is None else _with_true_states(trajectory)
+
+
+def _with_true_states(trajectory: TensorDictBase) -> TensorDictBase:
+    """Return a rollout with true states and rewards in the places of the estimated ones, which become `estimate`."""
+    shown: TensorDictBase = trajectory.copy()
+    shown["estimate"], shown["state"] = shown["state"], shown["true_state"]
+    for key in ("state", "reward"):
+        shown["next", key] = shown["next", f"true_{key}"]
+    return shown

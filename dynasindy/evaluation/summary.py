@@ -94,22 +94,6 @@ def beyond_targets(evaluation: Evaluation) -> list[Finding]:
     return findings
 
 
-def evaluation_title(evaluation: Evaluation) -> str:
-    """Return what a table of an evaluation was measured on; errors and returns compare at equal lengths only.
-
-    It says what disturbs the plant and by how much, when it does, and that steps are judged before.
-    """
-    count, what = len(evaluation.outputs), "reference" if evaluation.columns else "episode"
-    facts = [f"{count} {what}{'s' * (count > 1)}", format_duration(evaluation.seconds), *evaluation.disturbances]
-    facts += [
-        f"disturbed from {format_duration(start, end)} to {format_duration(end)}" for start, end in evaluation.windows
-    ]
-    first = min((start for start, _ in evaluation.windows), default=0.0)
-    if first > 0 and not bool(evaluation.metrics["settling_time"].isnan().all()):
-        facts.append(f"overshoot, rise and settling time from what lies before {format_duration(first)}")
-    return f"Scenario '{evaluation.scenario}' ({', '.join(facts)})"
-
-
 def to_text(
     summary: Mapping[str, float | None],
     title: str = "",

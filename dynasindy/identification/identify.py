@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 import pandas as pd
 import torch
 from torch import Tensor
@@ -19,20 +21,30 @@ from dynasindy.data.rates import check_rates, require_consistent_rates
 from dynasindy.data.recording import LogReader
 from dynasindy.findings import Finding, records, weak
 from dynasindy.identification import verdict
-from dynasindy.identification.forecast_errors import LOST, ForecastErrors, forecast_errors, with_start_states
+from dynasindy.identification.forecast_errors import (
+    LOST,
+    ForecastErrors,
+    LinearModel,
+    characteristic,
+    errors_over,
+    forecast_errors,
+    samples_after,
+    start_rows,
+    with_start_states,
+)
 from dynasindy.identification.log_fit import LogFit, fit_log
 from dynasindy.identification.recording_diagnostics import low_signal_findings, low_signal_states
 from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source, named_rates, rates_of
-from dynasindy.identification.unmoved import unmoved_states
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import checked, write_json, write_text
-from dynasindy.sentences import error_of, line, lines, verdict_lines
+from dynasindy.sentences import error_of, gravest_first, line, lines
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.equations import left_side, mapping
 from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.sindy.reconstruction import rate_states
+from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
@@ -45,6 +57,14 @@ FINEST = 1e-6
 """Part of the range of a state below which what a sensor resolves is no noise."""
 CELL = 11
 """Columns of a number in the table of errors."""
+PAST, FEW, ROWS, JUDGED = 8, 3, 4000, 40_000
+"""Past samples that a linear model may read, also with products, and rows for its fit and its judgement, at most."""
+SLOWEST, FARTHEST, HORIZONS = 3, 1000, 5
+"""How far ahead they predict [times in which the slowest state changes], [samples] at most, and over how many times."""
+WIDEST = 8
+"""States that move of which products are looked at, at most."""
+BETTER = 0.95
+"""Part of an error to which another one must fall at some time ahead, to be of a model that knows more."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +84,7 @@ class LoggedData(LogReader, DataSource):
         """Read the file without states that nothing moves, unless states, rates or a plant are given."""
         source = Source.of(self.recording(plant), self.validation_share)
         given = self.states is not None or bool(self.known) or plant is not None
-        return source if given else source.without(unmoved_states(source.training, source.signature))
+        return source if given else source.without(_unmoved_states(source.training, source.signature))
 
     def load(self, system: System | None, excitation: Callable[..., Excitation] | None) -> Source:
         """Read the file, and add what it lacks; of the plant names, units and ends are used, nothing of the excitation.
@@ -127,6 +147,43 @@ class Identified(LogFit):
     def findings(self) -> list[Finding]:
         """All findings: of the data, the fit, the equations, and of what the model predicts."""
         return [*self.source.findings, *self.report.findings, *self.content, *self.verdict]
+
+    def to_text(self, columns: int | None = None) -> str:
+        """Return equations, fit, identifiability, what the data show, errors and a verdict for a reader.
+
+        Args:
+            columns: Columns of the terminal that the table of errors has to fit; None lets lines be long.
+        """
+        source, forecasts = self.source, self.forecasts
+        first, *others = gravest_first(self.verdict)
+        text = [
+            *self.model.equations(),
+            *_errors(self.model),
+            "",
+            self.report.to_text(),
+            *(f"found: {each}" if each.severity == "note" else line(each) for each in self.content),
+            "",
+            *(table(forecasts, source.signature, columns) if forecasts is not None else []),
+            f"one prediction of all data that the fit did not see{describe_restarts(source.validation)}, relative to "
+            "the standard deviation of each state",
+        ]
+        for state, error in self.metrics["open_loop_nrmse"].items():
+            text.append(f"  {state:<10} " + (f"{100 * error:.3g} %" if math.isfinite(error) else "runs away"))
+        return "\n".join([*text, f"verdict: {first}", *map(line, others)])
+
+    def save(self, folder: Path, before: Sequence[Finding] = ()) -> None:
+        """Write model.json, metrics.json, report.txt and the coefficients as text and CSV.
+
+        Args:
+            folder: where; made if missing.
+            before: what was found before the fit, with which the report begins.
+        """
+        self.model.save(folder / "model.json")
+        findings = [*before, *(each for each in self.findings if each not in before)]
+        write_json(folder / "metrics.json", {**self.metrics, "findings": records(findings)}, indent=1, finite=False)
+        write_text(folder / "report.txt", "\n".join([*lines(before), self.to_text()]) + "\n")
+        for ending, text in _coefficient_tables(self.model).items():
+            write_text(folder / f"coefficients.{ending}", text)
 
     def _rates(self) -> set[int]:
         return set(rate_states(self.model.library, self.model.constraints))
@@ -265,30 +322,6 @@ def before_fit(model: SindyModel, source: Source) -> list[Finding]:
     return [*check_rates(source.training, source.signature, rates_of(model)), *source.findings]
 
 
-def to_words(found: Identified, columns: int | None = None) -> str:
-    """Write equations, fit, identifiability, what the data show, errors and a verdict for a reader.
-
-    Args:
-        found: What was identified.
-        columns: Columns of the terminal that the table of errors has to fit; None lets lines be long.
-    """
-    source, forecasts = found.source, found.forecasts
-    text = [
-        *found.model.equations(),
-        *_errors(found.model),
-        "",
-        found.report.to_text(),
-        *(f"found: {each}" if each.severity == "note" else line(each) for each in found.content),
-        "",
-        *(table(forecasts, source.signature, columns) if forecasts is not None else []),
-        f"one prediction of all data that the fit did not see{describe_restarts(source.validation)}, relative to the "
-        "standard deviation of each state",
-    ]
-    for state, error in found.metrics["open_loop_nrmse"].items():
-        text.append(f"  {state:<10} " + (f"{100 * error:.3g} %" if math.isfinite(error) else "runs away"))
-    return "\n".join([*text, *verdict_lines(found.verdict)])
-
-
 def table(forecasts: ForecastErrors, signature: Signature, columns: int | None = None) -> list[str]:
     """Write the errors over all horizons: of the model, of a linear one, and of the last value held, a line each.
 
@@ -364,22 +397,6 @@ def describe_restarts(data: Transitions) -> str:
     return f", begun anew after {gaps} gap{'s' * (gaps > 1)}" if gaps > 0 else ""
 
 
-def write_identification(found: Identified, folder: Path, before: Sequence[Finding] = ()) -> None:
-    """Write model.json, metrics.json, report.txt and the coefficients as text and CSV.
-
-    Args:
-        found: the model and its figures.
-        folder: where; made if missing.
-        before: what was found before the fit, with which the report begins.
-    """
-    found.model.save(folder / "model.json")
-    findings = [*before, *(each for each in found.findings if each not in before)]
-    write_json(folder / "metrics.json", {**found.metrics, "findings": records(findings)}, indent=1, finite=False)
-    write_text(folder / "report.txt", "\n".join([*lines(before), to_words(found)]) + "\n")
-    for ending, text in _coefficient_tables(found.model).items():
-        write_text(folder / f"coefficients.{ending}", text)
-
-
 def _coefficient_tables(model: SindyModel) -> dict[str, str]:
     """Return the Xi table, a row for each function, as text of 5 and as CSV of all digits, by the endings of files."""
     library, coefficients = mapping(model.library, model.coefficients)
@@ -391,3 +408,64 @@ def _coefficient_tables(model: SindyModel) -> dict[str, str]:
     text = table.rename_axis(columns="function").to_string(float_format="{:.5g}".format, justify="right")
     heads = rates if library.step is None else steps
     return {"txt": text + "\n", "csv": table.to_csv(header=heads, index_label="function")}
+
+
+def _unmoved_states(data: Transitions, signature: Signature) -> list[str]:
+    """Return states that are foretold best by their own past alone, and that foretell no other one (Granger 1969).
+
+    Those are a temperature of the computer or its free memory, say, beside the states of a plant. Linear models of
+    past samples with and without the others are fitted to the first three quarters and compared on the last one, and
+    those that know the samples of others, their sines and their products, by which a heading turns a speed.
+
+    Args:
+        data: the recording.
+        signature: its names.
+    """
+    cut = 3 * len(data) // 4
+    parts = choose_stretches(cut, ROWS), choose_stretches(len(data) - cut, JUDGED)
+    none = [torch.zeros_like(each) for each in parts]
+    fit, kept = data.select(torch.cat([parts[0], none[1]])), data.select(torch.cat([none[0], parts[1]]))
+    reach = start_rows(kept, PAST)[1]
+    last = min(reach // 5, max(round(SLOWEST * characteristic(fit, signature) / data.dt), 2), FARTHEST)
+    if data.x.shape[1] < 2 or last < 2:
+        return []
+    starts, _ = start_rows(kept, PAST, last)
+    later, real = samples_after(kept, starts, last)
+    steps = sorted({round(k) for k in np.geomspace(1, last, HORIZONS).tolist()})
+
+    def _errors(states: Sequence[int], driven: bool = True, known: Sequence[int] = ()) -> Tensor:
+        """Return errors of models of some states, of the best one over each horizon, `(H, n)`."""
+        mine, theirs = (_of_states(part, states, driven, known) for part in (fit, kept))
+        models = LinearModel.candidates(mine, FEW if known else PAST)
+        errors = [errors_over(model.predict(theirs, starts, later), real[..., states], steps) for model in models]
+        return torch.stack(errors or [real.new_full((len(steps), len(states)), math.nan)]).amin(0)
+
+    def _no_better(ours: Tensor, theirs: Tensor) -> Tensor:
+        return (theirs.isfinite() & (ours >= BETTER * theirs)).all(0)
+
+    states = list(range(data.x.shape[1]))
+    alone, together = torch.cat([_errors([i], driven=False) for i in states], 1), _errors(states)
+    unmoved = [i for i in states if _no_better(together, alone)[i] and _no_better(_errors([i])[:, 0], alone[:, i])]
+    moved = [i for i in states if i not in unmoved]
+    if not unmoved or not 0 < len(moved) <= WIDEST or not bool(_no_better(together[:, moved], _errors(moved)).all()):
+        return []
+    known = {j: _errors([j], known=[k for k in moved if k != j]) for j in states}
+    acts = set[int]()
+    for i, j in product(unmoved, moved):
+        error = _errors([j], known=[k for k in (*moved, i) if k != j])
+        if not (error / known[j].minimum(together[:, [j]])).median() >= BETTER:  # far ahead one alone may be by chance
+            acts.add(i)
+    free = [i for i in unmoved if i not in acts and _no_better(known[i][:, 0], alone[:, i])]
+    return [signature.state_names[i] for i in free]
+
+
+def _of_states(data: Transitions, states: Sequence[int], driven: bool, known: Sequence[int]) -> Transitions:
+    """Return a recording of some states, driven by nothing, the inputs, or also others that are known and products."""
+    u = data.u if driven else torch.zeros_like(data.u)
+    mine = replace(data, x=data.x[:, states], x_next=data.x_next[:, states], u=u, u_end=data.u_end if driven else None)
+    if not known:
+        return mine
+    x = data.x[:, known].double()
+    terms = torch.cat([x, x.sin(), x.cos(), u], 1)
+    low, high = torch.triu_indices(terms.shape[1], terms.shape[1])
+    return replace(mine, u=torch.cat([terms, terms[:, low] * terms[:, high]], 1), u_end=None)

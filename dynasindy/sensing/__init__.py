@@ -2,6 +2,6 @@
 
 from dynasindy.sensing.observer import Observer
 from dynasindy.sensing.sensors import Channel, Sensors
-from dynasindy.sensing.transform import Sensing, unveiled
+from dynasindy.sensing.transform import Sensing
 
-__all__ = ["Channel", "Observer", "Sensing", "Sensors", "unveiled"]
+__all__ = ["Channel", "Observer", "Sensing", "Sensors"]

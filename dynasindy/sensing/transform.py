@@ -189,12 +189,3 @@ class Sensing(Transform):
         if self.observer.pushed:
             held["shift"] = _unbounded(signature.n_x + signature.n_u)
         return Composite(held, shape=batch)
-
-
-def unveiled(trajectory: TensorDictBase) -> TensorDictBase:
-    """Return a rollout with true states and rewards in the places of the estimated ones, which become `estimate`."""
-    shown: TensorDictBase = trajectory.copy()
-    shown["estimate"], shown["state"] = shown["state"], shown["true_state"]
-    for key in ("state", "reward"):
-        shown["next", key] = shown["next", f"true_{key}"]
-    return shown

@@ -14,7 +14,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import DelayedActuator, PerturbedPlant
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, tracking_metrics
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.evaluation.summary import beyond_targets, evaluation_title, restless, save_evaluation, summarise, to_text
+from dynasindy.evaluation.summary import beyond_targets, restless, save_evaluation, summarise, to_text
 from dynasindy.evaluation.tracking_criteria import representative_episode
 from dynasindy.findings import weak
 from dynasindy.systems import Pendulum, Signature, Xi
@@ -114,13 +114,11 @@ def test_the_heading_says_how_long_and_when_the_plant_was_disturbed() -> None:
     scenario = Scenario("wind", Step([[0.5], [0.2]]), episodes=2, seconds=3.0, **gust)
     result = evaluate(ControlEnv(system, task, substeps=1), still, scenario)
     for part in ("'wind' (2 references, 3 s", "1 rad/s^2 on Omega", "from 0.5 s to 1.5 s", "before 0.5 s"):
-        assert part in evaluation_title(result)
+        assert part in result.title
     calm = evaluate(ControlEnv(system, task, substeps=1), still, Scenario("step", seconds=1.5))
-    assert evaluation_title(calm) == "Scenario 'step' (1 reference, 1.5 s)"
+    assert calm.title == "Scenario 'step' (1 reference, 1.5 s)"
     late = Scenario("delay", seconds=1.5, wrappers=[partial(DelayedActuator, periods=3)])
-    assert "by 3 control periods, 0.15 s" in evaluation_title(
-        evaluate(ControlEnv(system, task, substeps=1), still, late)
-    )
+    assert "by 3 control periods, 0.15 s" in evaluate(ControlEnv(system, task, substeps=1), still, late).title
 
 
 def test_references_beyond_the_targets_of_the_plant_are_told_and_others_are_not() -> None:

@@ -10,7 +10,7 @@ import torch
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.findings import LogError, note
-from dynasindy.identification.identify import LoggedData, identify_source, to_words
+from dynasindy.identification.identify import LoggedData, identify_source
 from dynasindy.identification.source import Source
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Pendulum, Signature, Tras
@@ -41,14 +41,14 @@ def test_the_pendulum_is_found_and_predicts_unseen_inputs():
     found = _identified(source)
     assert found.model.equations(3)[1] == "Omega' = -0.5 Omega + 12 u - 9.81 sin(theta)"
     assert max(found.metrics["open_loop_nrmse"].values()) < 1e-4
-    assert "prediction" in to_words(found) and codes(found.verdict) == ["model.predicts"]
+    assert "prediction" in found.to_text() and codes(found.verdict) == ["model.predicts"]
 
 
 def test_of_an_exact_log_nothing_stays_unexplained_and_of_a_poor_library_what_single_steps_miss():
     """The trapezoid that the regression begins with leaves over a hundredth of a percent even of an exact log."""
     source = simulated()
     found = _identified(source)
-    assert "unexplained" in to_words(found)
+    assert "unexplained" in found.to_text()
     poor = SindyModel(source.signature, ["theta", "Omega", "u"], refinement=Refinement("one_step"))
     found, data = identify_source(poor, source), source.training
     left = (moved(found.model, data.x, data.u, data.dt, 4) - data.x_next).norm(dim=0)
@@ -189,7 +189,7 @@ def test_no_verdict_is_given_on_a_log_that_is_too_quiet_to_tell():
     quiet, loud = found(2 * step), found(500 * step)
     assert codes(quiet.verdict) == ["log.low_signal"] and not quiet.predicts
     assert all(code.startswith("model.") for code in codes(loud.verdict)) and loud.verdict and not loud.quiet
-    assert "quiet" in to_words(quiet).splitlines()[-1]
+    assert "quiet" in quiet.to_text().splitlines()[-1]
 
 
 def test_several_logs_are_read_and_a_column_may_stand_still_in_one_of_them(tmp_path):

@@ -8,7 +8,7 @@ import torch
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.excitation import Chirp
 from dynasindy.findings import Finding, note
-from dynasindy.identification.identify import identify_source, write_identification
+from dynasindy.identification.identify import identify_source
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Pendulum
 
@@ -19,7 +19,7 @@ def test_everything_is_written(tmp_path):
     source = Simulated(validation_seconds=2.0).load(Pendulum(), EXCITATION)
     found = identify_source(SindyModel(source.signature, ["u"], Regression("bic"), Refinement("one_step")), source)
     before = [note("log.gaps", count=1)]
-    write_identification(found, tmp_path / "run", before)
+    found.save(tmp_path / "run", before)
     names = {p.name for p in (tmp_path / "run").iterdir()}
     tables = {f"coefficients.{suffix}" for suffix in ("txt", "csv")}
     assert names == {"model.json", "metrics.json", "report.txt", *tables}

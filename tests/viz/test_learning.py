@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dynasindy.evaluation.ablation import Level, write_ablation
+from dynasindy.evaluation.ablation import Level
 from dynasindy.viz.learning import average_rewards, draw_ablation
 from dynasindy.viz.run import _learning_curve
 
@@ -55,7 +55,7 @@ def drawn(tmp_path, monkeypatch):
     def _draw(table, **level):
         found = {}
         monkeypatch.setattr("dynasindy.viz.learning.save_figures", lambda figures, *_: found.update(figures) or [])
-        write_ablation(tmp_path / "ablation_curves.csv", pd.DataFrame(table))
+        pd.DataFrame(table).to_csv(tmp_path / "ablation_curves.csv", index=False)
         draw_ablation(tmp_path, Level(**level))
         return found
 
@@ -69,7 +69,7 @@ def lines(axis):
 @pytest.mark.parametrize("common", ["", "".join(f",scenario.reference.option_{k}=10" for k in range(20))])
 def test_a_pair_of_figures_for_every_plant_and_experiment(tmp_path, common):
     both = [rows({f"a{common}": 0.1, f"b{common}": 0.2}, system=system) for system in ("tras", "xi")]
-    write_ablation(tmp_path / "ablation_curves.csv", pd.DataFrame(both[0] + both[1]))
+    pd.DataFrame(both[0] + both[1]).to_csv(tmp_path / "ablation_curves.csv", index=False)
     names = {file.name for file in draw_ablation(tmp_path, Level())}
     kinds = ("average_rewards", "steady_state_error")
     assert names == {f"{kind}_{system}_dyna.png" for kind in kinds for system in ("tras", "xi")}
