@@ -10,7 +10,6 @@ import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -82,28 +81,23 @@ WAVES = "With the model, sines and square waves are followed."
 CLAIMS = (MODEL, SOONER, EXACT, WAVES)
 
 Coefficients = Mapping[str, Mapping[str, float]]
-Score = Mapping[str, float | None]
+_Score = Mapping[str, float | None]
 
 
-class Verdict(Enum):
-    """How ours stands to a statement of the paper."""
-
-    HOLDS = "holds"
-    SAME = "no difference"
-    SHORT = "not reached"
+HOLDS, SAME, SHORT = "holds", "no difference", "not reached"
+"""How ours stands to a statement of the paper."""
 
 
-class Judgement(NamedTuple):
+class _Judgement(NamedTuple):
     """What a figure of the paper shows, which of its claims rests on that, ours in numbers, and the verdict."""
 
     statement: str
     claim: str
     ours: str
-    verdict: Verdict
+    verdict: str
 
 
-@dataclass(frozen=True)
-class TextTable:
+class _Table(NamedTuple):
     """A table of words, a row per entry of `rows`, and what its numbers come from."""
 
     header: Sequence[str]
@@ -111,37 +105,101 @@ class TextTable:
     sources: Sequence[str] = ()
 
 
-@dataclass(frozen=True)
-class Picture:
+class _Picture(NamedTuple):
     """A figure, the name of its file, what it shows, and the commands and commits that it comes from."""
 
     name: str
     figure: Figure
     caption: str
-    sources: Sequence[str] = ()
+    sources: Sequence[str]
 
 
-Part = str | TextTable | Picture
+_Part = str | _Table | _Picture
 
 
 @dataclass(frozen=True)
 class Section:
     """The parts of a section, and what was judged in each case of plant and experiment."""
 
-    parts: list[Part] = field(default_factory=list)
-    judged: list[tuple[str, Judgement]] = field(default_factory=list)
+    parts: list[_Part] = field(default_factory=list)
+    judged: list[tuple[str, _Judgement]] = field(default_factory=list)
 
     @property
     def judgements(self) -> tuple[list[str], list[list[str]]]:
         """Header and rows of the table of what was judged, a column per case; no rows where nothing was."""
         rows: dict[str, dict[str, str]] = {}
         for case, one in self.judged:
-            rows.setdefault(one.statement, {})[case] = f"{one.verdict.value} ({one.ours})"
+            rows.setdefault(one.statement, {})[case] = f"{one.verdict} ({one.ours})"
         cases = list(dict.fromkeys(case for case, _ in self.judged))
         return ["the paper", *cases], [[what, *(of.get(case, "") for case in cases)] for what, of in rows.items()]
 
 
-def render_markdown(sections: Mapping[str, Section]) -> str:
+@dataclass(frozen=True)
+class _Run:
+    """A saved run: its folder and its resolved configuration."""
+
+    folder: Path
+    settings: Mapping[str, Any]
+
+    @property
+    def source(self) -> str:
+        """Folder, command and commit in words."""
+        origin = read_json(self.folder / "origin.json")
+        return f"Run `{_path(self.folder)}`, made by `{origin['command']}` at commit {origin['commit']}."
+
+
+@dataclass(frozen=True)
+class Results:
+    """The folder of results.
+
+    Attributes:
+        folder: Tables as CSV files, and `runs/` with saved runs.
+        settings: Resolved configuration of each saved run, by name.
+    """
+
+    folder: Path
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def run(self, system: str, experiment: str, setting: str = "rollouts_800") -> _Run:
+        """Return the saved run of an ablation's setting; where the experiment is `gradient`, that of the main job.
+
+        Raises:
+            FileNotFoundError: It is not saved.
+        """
+        name = f"{system}_gradient" if experiment == "gradient" else f"{system}_{experiment}_{setting}"
+        folder = self.folder / "runs" / name
+        if name not in self.settings or not folder.is_dir():
+            raise FileNotFoundError(f"there is no saved run {_path(folder)}")
+        return _Run(folder, self.settings[name])
+
+
+def _path(path: Path) -> str:
+    """Return a path as a reader of the repository knows it, which may itself lie below a folder `docs`."""
+    parts = path.parts
+    docs = [k for k, part in enumerate(parts) if part == "docs"]
+    return "/".join(parts[docs[-1] :] if docs else parts[-2:])
+
+
+_Made = Iterator[_Part | _Judgement]
+_Builder = Callable[..., Iterable[_Part | _Judgement]]
+
+
+def build(results: Results, folder: Path) -> list[Path]:
+    """Write `report.md` with `figures/`, and return the files.
+
+    Raises:
+        DamagedFileError: A saved file is not what a section expects.
+    """
+    page = folder / "report.md"
+    with reading(results.folder):
+        sections = {name: build_section(results, name) for name in SECTIONS}
+    write_text(page, _markdown(sections))
+    pictures = [part for section in sections.values() for part in section.parts if isinstance(part, _Picture)]
+    with matplotlib.rc_context(SVG):
+        return [page, *save_figures({part.name: part.figure for part in pictures}, folder / "figures", ["svg"])]
+
+
+def _markdown(sections: Mapping[str, Section]) -> str:
     """Return the page as Markdown, whose figures are `figures/NAME.svg`.
 
     What figures and tables come from stands once, in a numbered list at the end of the page.
@@ -171,71 +229,6 @@ def render_markdown(sections: Mapping[str, Section]) -> str:
     return re.sub(r"\n{3,}", "\n\n", text.strip()) + "\n"
 
 
-@dataclass(frozen=True)
-class Run:
-    """A saved run: its folder and its resolved configuration."""
-
-    folder: Path
-    settings: Mapping[str, Any]
-
-    @property
-    def source(self) -> str:
-        """Folder, command and commit in words."""
-        origin = read_json(self.folder / "origin.json")
-        return f"Run `{_path(self.folder)}`, made by `{origin['command']}` at commit {origin['commit']}."
-
-
-@dataclass(frozen=True)
-class Results:
-    """The folder of results.
-
-    Attributes:
-        folder: Tables as CSV files, and `runs/` with saved runs.
-        settings: Resolved configuration of each saved run, by name.
-    """
-
-    folder: Path
-    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-
-    def run(self, system: str, experiment: str, setting: str = "rollouts_800") -> Run:
-        """Return the saved run of an ablation's setting; where the experiment is `gradient`, that of the main job.
-
-        Raises:
-            FileNotFoundError: It is not saved.
-        """
-        name = f"{system}_gradient" if experiment == "gradient" else f"{system}_{experiment}_{setting}"
-        folder = self.folder / "runs" / name
-        if name not in self.settings or not folder.is_dir():
-            raise FileNotFoundError(f"there is no saved run {_path(folder)}")
-        return Run(folder, self.settings[name])
-
-
-def _path(path: Path) -> str:
-    """Return a path as a reader of the repository knows it, which may itself lie below a folder `docs`."""
-    parts = path.parts
-    docs = [k for k, part in enumerate(parts) if part == "docs"]
-    return "/".join(parts[docs[-1] :] if docs else parts[-2:])
-
-
-Made = Iterator[Part | Judgement]
-Builder = Callable[..., Iterable[Part | Judgement]]
-
-
-def build(results: Results, folder: Path) -> list[Path]:
-    """Write `report.md` with `figures/`, and return the files.
-
-    Raises:
-        DamagedFileError: A saved file is not what a section expects.
-    """
-    page = folder / "report.md"
-    with reading(results.folder):
-        sections = {name: build_section(results, name) for name in SECTIONS}
-    write_text(page, render_markdown(sections))
-    pictures = [part for section in sections.values() for part in section.parts if isinstance(part, Picture)]
-    with matplotlib.rc_context(SVG):
-        return [page, *save_figures({part.name: part.figure for part in pictures}, folder / "figures", ["svg"])]
-
-
 def build_section(results: Results, name: str) -> Section:
     """Build a section from what is saved of each case; where something is missing, a line says so.
 
@@ -249,8 +242,8 @@ def build_section(results: Results, name: str) -> Section:
                 made = list(builder(results, *case))
             except FileNotFoundError as missing:
                 made = [f"Not measured: {missing}."]
-        section.judged.extend((_case(*case), part) for part in made if isinstance(part, Judgement))
-        section.parts.extend(part for part in made if not isinstance(part, Judgement))
+        section.judged.extend((_case(*case), part) for part in made if isinstance(part, _Judgement))
+        section.parts.extend(part for part in made if not isinstance(part, _Judgement))
     return section
 
 
@@ -258,46 +251,46 @@ def _case(plant: str, experiment: str = "", *_: str) -> str:
     return f"{plant}, `{experiment}`"
 
 
-def _verdict(judged: Sequence[tuple[str, Judgement]]) -> Section:
+def _verdict(judged: Sequence[tuple[str, _Judgement]]) -> Section:
     """Count how many of the statements behind each claim hold."""
     rows = []
     for claim in CLAIMS:
         cells = []
         for case in CASES:
             verdicts = [one.verdict for name, one in judged if (one.claim, name) == (claim, _case(*case))]
-            count, same = verdicts.count(Verdict.HOLDS), verdicts.count(Verdict.SAME)
+            count, same = verdicts.count(HOLDS), verdicts.count(SAME)
             words = "holds" if count == len(verdicts) else "in part" if count + same else "not reached"
             share = f"{words} ({count} of {len(verdicts)}{f', {same} no difference' * bool(same)})"
             cells.append(share if verdicts else "not measured")
         rows.append([claim, *cells])
-    held = [one.verdict for _, one in judged].count(Verdict.HOLDS)
+    held = [one.verdict for _, one in judged].count(HOLDS)
     words = f"How many of the statements behind each claim hold; of {len(judged)} in all {held} do."
     header = ["what the paper claims, in our words", *(_case(*case) for case in CASES)]
-    return Section([words, TextTable(header, rows)])
+    return Section([words, _Table(header, rows)])
 
 
-def _training(results: Results, plant: str, experiment: str) -> Made:
+def _training(results: Results, plant: str, experiment: str) -> _Made:
     run = results.run(plant, experiment)
     table = read_table(run.folder / "data/excitation.csv")
     substeps = int(run.settings["env"]["substeps"])
     samples, step = len(table) * substeps, (table["time"][1] - table["time"][0]) / substeps
     figure = training_data(table["time"], table[STATES], table[INPUTS], SIGNATURE, f"Training data of {plant}")
     caption = f"What the first model of `{plant}` was fitted to: {samples} samples, {step:.3g} s apart, and the inputs."
-    yield Picture(f"training_data_{plant}", figure, caption, [run.source])
+    yield _Picture(f"training_data_{plant}", figure, caption, [run.source])
 
 
-def _model_learning(results: Results, plant: str, experiment: str) -> Made:
+def _model_learning(results: Results, plant: str, experiment: str) -> _Made:
     run = results.run(plant, experiment)
     table = read_table(run.folder / "gate.csv")
     opened = table["episode"][table["open"] == 1]
     below = float(run.settings["gate"]["open_below"])
-    yield judge_learning(array(table["episode"]), array(table["reward_error"]), array(opened), below)
+    yield _judge_learning(array(table["episode"]), array(table["reward_error"]), array(opened), below)
     figure = gate(table, f"SINDy model learning progress: plant {plant}, experiment {experiment}")
     caption = f"Error of the model over the episodes on `{plant}`, `{experiment}`."
-    yield Picture(f"model_learning_{plant}_{experiment}", figure, caption, [run.source])
+    yield _Picture(f"model_learning_{plant}_{experiment}", figure, caption, [run.source])
 
 
-def _states(results: Results, plant: str, experiment: str, episode: str) -> Made:
+def _states(results: Results, plant: str, experiment: str, episode: str) -> _Made:
     """Judge the open-loop prediction of the first or the last real episode, and draw it."""
     run = results.run(plant, experiment)
     table = read_table(run.folder / f"data/prediction_{episode}_episode.csv")
@@ -306,19 +299,19 @@ def _states(results: Results, plant: str, experiment: str, episode: str) -> Made
     title = f"Predicted and real states {when} learning: plant {plant}, experiment {experiment}"
     figure = prediction(table["time"], real, model, SIGNATURE, title)
     caption = f"Open-loop prediction of an episode on `{plant}`, `{experiment}`."
-    yield Picture(f"states_{when}_{plant}_{experiment}", figure, caption, [run.source])
+    yield _Picture(f"states_{when}_{plant}_{experiment}", figure, caption, [run.source])
     if episode == "first":
         rotors = {name: error for name, error in errors.items() if name.startswith("omega_")}
-        yield judge_model("the rotor speeds are predicted well", rotors)
+        yield _judge_model("the rotor speeds are predicted well", rotors)
         return
-    yield judge_model("all six states are predicted closely", errors)
+    yield _judge_model("all six states are predicted closely", errors)
     # The excitation applied to the final model, as the paper does.
     table = read_table(run.folder / "data/excitation.csv")
     x, u = (torch.tensor(array(table[names])) for names in (STATES, INPUTS))
     dt = float(table["time"][1] - table["time"][0])
     data = Transitions(x[:-1], u[:-1], x[1:], dt, torch.zeros(len(x) - 1, dtype=torch.int64))
     predicted = open_loop(SindyModel.load(run.folder / "model.json"), data, run.settings["env"]["substeps"])
-    yield judge_model("so they are when the chirp is applied again", _state_errors(x[1:].numpy(), predicted.numpy()))
+    yield _judge_model("so they are when the chirp is applied again", _state_errors(x[1:].numpy(), predicted.numpy()))
 
 
 def _state_errors(real: Array, model: Array) -> dict[str, float]:
@@ -328,17 +321,17 @@ def _state_errors(real: Array, model: Array) -> dict[str, float]:
     return dict(zip(STATES, np.nan_to_num(error, nan=np.inf).tolist(), strict=True))
 
 
-def _coefficients(results: Results, plant: str, experiment: str) -> Made:
-    run, true = results.run(plant, experiment), published_coefficients()
+def _coefficients(results: Results, plant: str, experiment: str) -> _Made:
+    run, true = results.run(plant, experiment), _published_coefficients()
     model: Coefficients = read_json(run.folder / "model.json")["coefficients"]
-    yield judge_coefficients(model, true)
+    yield _judge_coefficients(model, true)
     yield f"**Plant `{plant}`, `experiment={experiment}`**: as identified, the published coefficient in brackets."
     names = dict.fromkeys(name for row in (*true.values(), *model.values()) for name in row)
     rows = [
         [f"`{name}`", *(_cell(model.get(one, {}).get(name), true.get(one, {}).get(name)) for one in STATES)]
         for name in names
     ]
-    yield TextTable(["function", *(f"d `{state}`/dt" for state in STATES)], rows, [run.source])
+    yield _Table(["function", *(f"d `{state}`/dt" for state in STATES)], rows, [run.source])
 
 
 def _cell(ours: float | None, true: float | None) -> str:
@@ -347,7 +340,7 @@ def _cell(ours: float | None, true: float | None) -> str:
     return ("0" if ours is None else f"{ours:.5g}") + ("" if true is None else f" ({true:.5g})")
 
 
-def _rewards(results: Results, plant: str, experiment: str) -> Made:
+def _rewards(results: Results, plant: str, experiment: str) -> _Made:
     rows, runs = (
         table[(table["system"] == plant) & (table["experiment"] == experiment)]
         for table in (read_ablation(results.folder / name) for name in (CURVES, TABLE))
@@ -368,35 +361,35 @@ def _rewards(results: Results, plant: str, experiment: str) -> Made:
         lengths = " or ".join(f"{length:g}" for length in own["episodes"].unique())
         words = SETTINGS.get(name) or f"{controller_name(name)} ({lengths} episodes)"
         to_level[words] = own["episodes_to_level"].fillna(np.inf).tolist()
-    yield from judge_rewards(curves, to_level)
+    yield from _judge_rewards(curves, to_level)
     caption = f"Returns on `{plant}`, `{experiment}`, up to {episodes[-1]:g} real episodes."
     title = f"Dyna-style vs. direct TD3, average rewards: plant {plant}, experiment {experiment}"
     figure = average_rewards(curves, episodes, title)
     commits = ", ".join(runs[runs["setting"].isin([*seeds])]["commit"].unique())
     command, file = ABLATION.format(plant, experiment), _path(results.folder / CURVES)
     source = f"Table `{file}`, made by `{command}` at commit {commits}."
-    yield Picture(f"average_rewards_{plant}_{experiment}", figure, caption, [source])
+    yield _Picture(f"average_rewards_{plant}_{experiment}", figure, caption, [source])
 
 
-def _steps(results: Results, plant: str, experiment: str) -> Made:
+def _steps(results: Results, plant: str, experiment: str) -> _Made:
     runs = {words: results.run(plant, experiment, name) for name, words in SETTINGS.items()}
     _, figure = _draw_tracking(runs, "step", f"Step tracking: plant {plant}, experiment {experiment}")
     scores = {words: read_json(run.folder / "metrics.json")["evaluation"] for words, run in runs.items()}
-    yield from judge_steps(scores)
+    yield from _judge_steps(scores)
     caption = f"A step on `{plant}`, after {runs[MANY].settings['train']['episodes']} episodes."
-    yield Picture(f"step_{plant}_{experiment}", figure, caption, [run.source for run in runs.values()])
+    yield _Picture(f"step_{plant}_{experiment}", figure, caption, [run.source for run in runs.values()])
 
 
-def _wave(results: Results, plant: str, experiment: str, shape: str) -> Made:
+def _wave(results: Results, plant: str, experiment: str, shape: str) -> _Made:
     settings = ("rollouts_800", "rollouts_0")
     runs = {SETTINGS[name]: results.run(plant, experiment, name) for name in settings}
     tables, figure = _draw_tracking(runs, shape, f"{shape.capitalize()} wave: plant {plant}, experiment {experiment}")
-    yield from judge_wave(shape, *(array(tables[MANY][names]) for names in ("time", REFERENCES, TRACKED)))
+    yield from _judge_wave(shape, *(array(tables[MANY][names]) for names in ("time", REFERENCES, TRACKED)))
     caption = f"The {shape} wave on `{plant}`, after {runs[MANY].settings['train']['episodes']} episodes."
-    yield Picture(f"{shape}_{plant}_{experiment}", figure, caption, [run.source for run in runs.values()])
+    yield _Picture(f"{shape}_{plant}_{experiment}", figure, caption, [run.source for run in runs.values()])
 
 
-def _draw_tracking(runs: Mapping[str, Run], scenario: str, title: str) -> tuple[dict[str, pd.DataFrame], Figure]:
+def _draw_tracking(runs: Mapping[str, _Run], scenario: str, title: str) -> tuple[dict[str, pd.DataFrame], Figure]:
     """Return the trajectories that runs saved of a scenario, and their figure."""
     step = scenario == "step"
     file = "data/step_response.csv" if step else f"evaluation/{scenario}.csv"
@@ -407,20 +400,20 @@ def _draw_tracking(runs: Mapping[str, Run], scenario: str, title: str) -> tuple[
     return tables, tracking(held[first]["time"], tables[first][REFERENCES], outputs, inputs, title=title)
 
 
-def _gradient_run(results: Results, plant: str, scenario: str) -> Made:
+def _gradient_run(results: Results, plant: str, scenario: str) -> _Made:
     run = results.run(plant, "gradient")
     title = f"{scenario.capitalize()}, policy of the main job: plant {plant}"
     _, figure = _draw_tracking({controller_name("gradient"): run}, scenario, title)
     seconds = read_json(run.folder / "metrics.json")["cost"]["plant_seconds"]
     caption = f"The {scenario} on `{plant}` after {seconds:.0f} s of plant time."
-    yield Picture(f"gradient_{scenario}_{plant}", figure, caption, [run.source])
+    yield _Picture(f"gradient_{scenario}_{plant}", figure, caption, [run.source])
 
 
-def _judge(statement: str, claim: str, ours: str, holds: bool, same: bool = False) -> Judgement:
-    return Judgement(statement, claim, ours, Verdict.HOLDS if holds else Verdict.SAME if same else Verdict.SHORT)
+def _judge(statement: str, claim: str, ours: str, holds: bool, same: bool = False) -> _Judgement:
+    return _Judgement(statement, claim, ours, HOLDS if holds else SAME if same else SHORT)
 
 
-def judge_learning(episode: Array, error: Array, opened: Array, below: float) -> Judgement:
+def _judge_learning(episode: Array, error: Array, opened: Array, below: float) -> _Judgement:
     """Judge the reward error per period of each episode, `(n,)`, not finite where the replay ran away."""
     worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
     first, last, most = (f"{error[k]:.2g} in episode {episode[k]:.0f}" for k in (0, -1, worst))
@@ -430,13 +423,13 @@ def judge_learning(episode: Array, error: Array, opened: Array, below: float) ->
     return _judge("the reward error of the model is high at first and falls to almost none", MODEL, ours, fallen)
 
 
-def judge_model(statement: str, errors: Mapping[str, float]) -> Judgement:
+def _judge_model(statement: str, errors: Mapping[str, float]) -> _Judgement:
     """Judge a model by the RMSE of each state [% of its range]."""
     words = ", ".join(f"`{name}` {error:.2g}" for name, error in errors.items())
     return _judge(statement, MODEL, f"RMSE in % of range: {words}", max(errors.values()) < CLOSE)
 
 
-def published_coefficients() -> Coefficients:
+def _published_coefficients() -> Coefficients:
     """Return the paper's table "SINDY model Xi matrix", by equation and function, as the plant `xi` computes it."""
     generator, size = torch.Generator().manual_seed(0), torch.tensor(SIGNATURE.x_scale, dtype=torch.float64)
     x, u = (torch.randn(200, width, generator=generator, dtype=torch.float64) for width in (len(STATES), len(INPUTS)))
@@ -451,7 +444,7 @@ def published_coefficients() -> Coefficients:
     }
 
 
-def judge_coefficients(model: Coefficients, truth: Coefficients) -> Judgement:
+def _judge_coefficients(model: Coefficients, truth: Coefficients) -> _Judgement:
     """Judge identified coefficients, by equation and function, against published ones."""
     true, ours = (
         {(state, name): value for state, row in one.items() for name, value in row.items()} for one in (truth, model)
@@ -465,7 +458,7 @@ def judge_coefficients(model: Coefficients, truth: Coefficients) -> Judgement:
     return _judge(statement, MODEL, words, len(hit) == len(true) and not false and worst < COEFFICIENT)
 
 
-def judge_rewards(curves: Mapping[str, Array], to_level: Mapping[str, Sequence[float]]) -> Iterator[Judgement]:
+def _judge_rewards(curves: Mapping[str, Array], to_level: Mapping[str, Sequence[float]]) -> Iterator[_Judgement]:
     """Judge returns per setting, `(n_seeds, n_evaluations)`, and real episodes to the level per setting and seed.
 
     Settings without returns are other agents without a model, all of which planning has to be ahead of.
@@ -487,7 +480,7 @@ def judge_rewards(curves: Mapping[str, Array], to_level: Mapping[str, Sequence[f
         yield _judge(statement, SOONER, words, level[MANY] < level[SOME], max(level[SOME], level[MANY]) <= SOON)
 
 
-def judge_steps(scores: Mapping[str, Score]) -> Iterator[Judgement]:
+def _judge_steps(scores: Mapping[str, _Score]) -> Iterator[_Judgement]:
     """Judge step tracking of the three settings by their `steady_state_error/<axis>` [rad]."""
     for name, axis in AXES.items():
         finals = {setting: score[f"steady_state_error/{name}"] for setting, score in scores.items()}
@@ -501,7 +494,7 @@ def judge_steps(scores: Mapping[str, Score]) -> Iterator[Judgement]:
         yield _judge(statement, EXACT, words, smallest, planned <= FINE)
 
 
-def judge_wave(shape: str, time: Array, target: Array, output: Array) -> Iterator[Judgement]:
+def _judge_wave(shape: str, time: Array, target: Array, output: Array) -> Iterator[_Judgement]:
     """Judge a sine or square wave, `(T, 2)` each: the reference, and the outputs with the model [rad]."""
     if shape == "sine":
         errors = np.sqrt(np.mean((output - target)[time >= TRANSIENT] ** 2, axis=0))
@@ -533,7 +526,7 @@ def _listed(values: Mapping[str, float], infinite: str = "never") -> str:
     return ", ".join(f"{name} {infinite if np.isinf(value) else f'{value:.4g}'}" for name, value in values.items())
 
 
-SECTIONS: Mapping[str, tuple[Builder, Sequence[tuple[str, ...]]]] = {
+SECTIONS: Mapping[str, tuple[_Builder, Sequence[tuple[str, ...]]]] = {
     "training_data": (_training, OURS),
     "model_learning": (_model_learning, CASES),
     "states_before": (partial(_states, episode="first"), CASES),

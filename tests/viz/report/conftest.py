@@ -3,13 +3,16 @@
 import csv
 import json
 import math
+import shutil
 from pathlib import Path
 
 import pytest
+import torch
 
 from dynasindy.sindy import SindyModel
+from dynasindy.systems import Xi
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.viz.report import Results, published_coefficients
+from dynasindy.viz.report import Results
 
 STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
 ERRORS = {"rollouts_0": 0.2, "rollouts_400": 0.05, "rollouts_800": 0.01}
@@ -57,9 +60,10 @@ def write_run(folder: Path, error: float) -> None:
     }
     (folder / "metrics.json").write_text(json.dumps({"evaluation": scores, "cost": {"plant_seconds": 30.0}}))
     model = SindyModel(SIGNATURE, "paper_table")
-    for state, row in published_coefficients().items():
-        for name, value in row.items():
-            model.coefficients[model.library.names.index(name), STATES.index(state)] = value
+    x, u = torch.rand(200, 6, dtype=torch.float64), torch.rand(200, 2, dtype=torch.float64)
+    x = 2 * (x - 0.5) * torch.tensor(SIGNATURE.x_scale)
+    found = torch.linalg.lstsq(model.library(x, u), Xi()(x, u)).solution  # what the plant is made of
+    model.set_coefficients(found.where(found.abs() > 1e-6, 0.0))
     model.save(folder / "model.json")
     (folder / "origin.json").write_text(json.dumps({"command": "python scripts/x.py", "commit": "abc1234"}))
 
@@ -89,3 +93,9 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
 @pytest.fixture
 def empty(tmp_path: Path) -> Results:
     return Results(tmp_path)
+
+
+@pytest.fixture
+def copied(results: Results, tmp_path: Path) -> Results:
+    """The results in a folder of the test's own, to change what is there."""
+    return Results(shutil.copytree(results.folder, tmp_path / "results"), dict(results.settings))
