@@ -153,7 +153,7 @@ def test_the_course_of_an_error_falls_or_is_small_in_every_episode(judge):
     [
         (lambda table: table["omega_p"].update(u_p=1.0099 * table["omega_p"]["u_p"]), HOLDS),
         (lambda table: table["omega_p"].update(u_p=1.02 * table["omega_p"]["u_p"]), SHORT),
-        (lambda table: table["Omega_a"].pop("u_a"), SHORT),
+        (lambda table: table["Omega_a"].pop("Omega_a"), SHORT),
         (lambda table: table["alpha_a"].update(u_p=0.002), SHORT),
     ],
     ids=["near", "off", "missing", "false"],
