@@ -228,13 +228,12 @@ def _unwrap_counter(values: Array, table: Table, unit: float, dt: float | None) 
     return values + np.cumsum(np.bincount(starts, lifts, len(values))), [found]
 
 
-def in_seconds(path: str, table: Table, unit: str, dt: float | None) -> tuple[Array, list[Finding]]:
+def in_seconds(table: Table, unit: str, dt: float | None) -> tuple[Array, list[Finding]]:
     """Return the times of all rows [s], `(rows,)`, and what was found: which column they are, in which unit.
 
     A column of whole numbers without a unit is a counter where the sampling time is given.
 
     Args:
-        path: The file, for messages.
         table: Rows of the file, the first column that of time.
         unit: Its unit; empty where nobody says one.
         dt: Sampling time that was given [s].
@@ -246,7 +245,7 @@ def in_seconds(path: str, table: Table, unit: str, dt: float | None) -> tuple[Ar
     values = table.column(heading)
     unit = "" if table.dated else unit or date_unit(values)
     if unit and unit.lower() not in SECONDS:
-        raise LogError("log.time_unit", file=path, column=heading, unit=unit, units=[*SECONDS])
+        raise LogError("log.time_unit", file=str(table.path), column=heading, unit=unit, units=[*SECONDS])
     seconds = SECONDS.get(unit.lower(), 1.0)
     values, again = _unwrap_counter(values, table, seconds, dt)
     t, counts = values * seconds, not unit and not table.dated and is_counter(values)
@@ -256,8 +255,12 @@ def in_seconds(path: str, table: Table, unit: str, dt: float | None) -> tuple[Ar
     period, said = period_of(t) if len(t) > 1 else 0.0, list[Finding]()
     since = len(values) and values[0] > 3e10  # of a time since any date
     if (counts and period >= 1000) or (since and not unit and not table.dated):  # hardly s
-        raise LogError("log.no_time_unit", file=path, column=heading, step=period)
-    if len(t) > 2 and (np.diff(t) >= 0).all() and (found := _fit_even_clock(path, values, seconds, dt)) is not None:
+        raise LogError("log.no_time_unit", file=str(table.path), column=heading, step=period)
+    if (
+        len(t) > 2
+        and (np.diff(t) >= 0).all()
+        and (found := _fit_even_clock(str(table.path), values, seconds, dt)) is not None
+    ):
         t, period, tick = found
         said = [note("log.coarse_clock", column=name, tick=tick, dt=period)]
     said += [weak("log.whole_seconds", column=name)] if counts else []

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
 from itertools import chain, combinations_with_replacement
 from pathlib import Path
 from typing import Any
@@ -19,12 +18,10 @@ from dynasindy.data.clock import CLOCK, OVERFLOWS, clock_of, date_unit, is_count
 from dynasindy.data.headings import (
     COMMAND,
     INPUT,
-    PLAIN_RATES,
     SECONDS,
     find_names,
     in_radians,
     is_clock,
-    is_rate_of,
     named_by,
     parts_of,
     split_unit,
@@ -66,30 +63,6 @@ class Column:
         ends = self.low is not None and self.high is not None and self.low < self.high
         if not self.scale or not (ends or self.low is self.high is self.rest is None):
             raise ValueError("allowed are a scale that is not 0, and low < high, with them a rest, or none of these")
-
-
-def with_units(
-    columns: Mapping[str, Column], states: bool, known: Mapping[str, str] | None = None
-) -> dict[str, Column]:
-    """Return columns with the units of their headings; degrees of states become rad.
-
-    A column keeps what was given of it: a scale, and a unit that is none of the two. Turns per minute are those of an
-    angle if the state is known or called to be its rate, as `speed` is beside a single one.
-
-    Args:
-        columns: Columns by name, with their headings in full.
-        states: Whether they are states; inputs stay in the units of their actuators.
-        known: The rate of each state, as far as it is known.
-    """
-    inside, found = {name: split_unit(column.name)[1] for name, column in columns.items()}, dict(columns)
-    angles = [name for name in columns if "rad" in (columns[name].unit, in_radians(inside[name])[0])]
-    for name, column in columns.items():
-        turns = column.unit == "rad/s" or (name in PLAIN_RATES and len(angles) == 1)
-        turns |= any(is_rate_of(angle, name) or (known or {}).get(angle) == name for angle in angles)
-        unit, factor = in_radians(inside[name], turns) if states else (inside[name], 1.0)
-        if unit and column.scale == 1 and column.unit in ("-", unit):
-            found[name] = replace(column, unit=unit, scale=factor)
-    return found
 
 
 def as_map(columns: Mapping[str, Column]) -> dict[str, Any]:

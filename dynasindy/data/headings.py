@@ -110,18 +110,6 @@ def _apart(name: str) -> tuple[str, str]:
     return name, ""
 
 
-def plain_headings(headings: Sequence[str]) -> list[str]:
-    """Return headings with plain names, but where two of these would be the same."""
-    own = {*headings}  # of which `der(angle)` is none in the unit `angle`
-    plain = [re.sub(r"\W+", "_", h).strip("_") if split_unit(h)[1] in own else plain_heading(h) for h in headings]
-    names = [split_unit(heading)[0] for heading in plain]
-    found = []
-    for new, old, name in zip(plain, headings, names, strict=True):
-        unit = "" if split_unit(old)[1] else split_unit(new)[1]
-        found.append(new if names.count(name) == 1 else f"{old} [{unit}]" if unit else old)
-    return found
-
-
 def in_radians(unit: str, turns: bool = True) -> tuple[str, float]:
     """Return the unit that a unit becomes, and the factor to it: rad or rad/s of angles and their rates.
 

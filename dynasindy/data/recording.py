@@ -1,6 +1,16 @@
 """Logs of any plant, from files of many programs, as transitions; nothing is lost without a word.
 
 A row without a time or an input is skipped. One without a state stays, NaN there, for its inputs act all the same.
+
+Samples at uneven times are taken to even ones, so that what a held input did to the states stays what it did. A digital
+controller that is late now and then sets its input late, too: the input jumps between two even times, and with it the
+slopes of the states. A spline over such a jump swings, and the value of an input at the beginning of an even step is
+not what acted during that step.
+
+| of       | taken is                                                                                        |
+| -------- | ----------------------------------------------------------------------------------------------- |
+| a state  | a cubic spline over the samples between two jumps of an input; straight lines between single ones |
+| an input | its mean over the step, held from each sample to the next: to first order in the step the same    |
 """
 
 from __future__ import annotations
@@ -8,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,11 +28,10 @@ import torch
 from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
-from dynasindy.data.columns import Column, as_map, find_clock, infer, with_units
-from dynasindy.data.headings import NAME, find_names, in_radians, named_by, split_unit
+from dynasindy.data.columns import Column, as_map, find_clock, infer
+from dynasindy.data.headings import NAME, PLAIN_RATES, find_names, in_radians, is_rate_of, named_by, split_unit
 from dynasindy.data.rates import require_consistent_rates
-from dynasindy.data.resampling import EVEN, GAP, JUMP, resample
-from dynasindy.data.table import correct_map, read_columns, select_columns
+from dynasindy.data.table import correct_map, read_columns
 from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.sentences import lines as lines_of
 from dynasindy.sentences import setting
@@ -43,6 +53,14 @@ FAR = 10
 """Times the largest other step between rows from which on one is none that a plant makes."""
 LONG = 10
 """Usual distances between two samples of a state from which on what lies between them is a gap."""
+GAP = 1.5
+"""Sampling times from which on what lies between two samples is lost."""
+EVEN = 0.02
+"""Part of a sampling time by which samples may be early or late and are taken as they are."""
+FEWEST = 4
+"""Samples in a stretch from which on it is resampled."""
+JUMP = 0.05
+"""Part of its range by which an input changes from sample to sample where it jumps; one that moves less is smooth."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +200,7 @@ class LogReader:
         rest, unit = np.array([(each.rest, each.unit) for each in ranges]).T
         pieces, sizes = [], np.zeros(len(states))
         for part in parts:
-            t, x, u, segment = resample(part.t, part.x, (part.u - rest) / unit, dt, said := list[Finding]())
+            t, x, u, segment = _resample(part.t, part.x, (part.u - rest) / unit, dt, said := list[Finding]())
             usable = ~(_long_gaps(x, segment, said) | _stops(x, said))
             said += (each for name, column in x.items() for each in _jumps(name, column, t, u, usable))
             full = np.stack([x.get(name, np.full(len(t), np.nan)) for name in states], -1)
@@ -262,24 +280,25 @@ class LogReader:
     def _part(self, path: str, roles: _Roles, plant: Signature | None, said: list[Finding]) -> _Part:
         """Read one file as it is: times, states in their units, and inputs in theirs."""
         time, states, inputs = roles
-        clock, unit = clock_of(read_columns(Path(path)).headings, time)
+        file = read_columns(Path(path))
+        clock, unit = clock_of(file.headings, time)
         names = [clock, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
-        table = select_columns(Path(path), names, self.dt)
+        table = file.select(names, self.dt)
         findings, driving = [*table.findings], slice(len(names) - len(inputs), None)
         full = dict(zip(names[1:], table.headings[1:], strict=True)) | {"": ""}
         states, inputs = (
             {name: replace(column, name=full[column.name]) for name, column in columns.items()}
             for columns in (states, inputs)
         )
-        states = with_units(states, True, self.known_rates([*states]))
-        inputs = with_units(inputs if plant is None else _with_actuator_ranges(inputs, plant), False)
+        states = _with_units(states, True, self.known_rates([*states]))
+        inputs = _with_units(inputs if plant is None else _with_actuator_ranges(inputs, plant), False)
         frame = table.frame.where(np.isfinite(table.frame))
         frame = _without_copies(_hold_inputs(frame, driving, findings), driving, findings)
         frame, whole = _with_times(frame, driving, findings)
-        t, of_time = in_seconds(path, replace(table, frame=frame), unit, self.dt)
+        t, of_time = in_seconds(replace(table, frame=frame), unit, self.dt)
         if (np.diff(t) < 0).any() and (ordered := _in_order(frame, driving, findings)) is not None:
             frame, whole = ordered, ordered.iloc[:, driving].notna().all(axis=1).to_numpy()
-            t, of_time = in_seconds(path, replace(table, frame=frame), unit, self.dt)
+            t, of_time = in_seconds(replace(table, frame=frame), unit, self.dt)
         t, lines, values = t[whole], frame.index[whole], frame.to_numpy()[whole].T
         if len(t) < 2:
             raise LogError("log.too_few", path=path, count=0, least=LEAST, left_out=[])
@@ -290,7 +309,7 @@ class LogReader:
         columns = dict(zip(table.headings[1:], values[1:], strict=True))
         measured = {name: (columns[c.name] * c.scale, c.unit) for name, c in states.items() if c.name}
         sound = ((name, _without_spikes(name, x, lines, findings), unit) for name, (x, unit) in measured.items())
-        x = {name: unwrap_angle(name, column, unit, findings) for name, column, unit in sound}
+        x = {name: _unwrap_angle(name, column, unit, findings) for name, column, unit in sound}
         u = np.stack([columns[c.name] * c.scale for c in inputs.values()], -1)
         said += self._of_file(path, [*of_time, *findings])
         return _Part(path, states, inputs, t, x, u)
@@ -381,15 +400,8 @@ def _without_spikes(name: str, x: Array, lines: pd.Index, findings: list[Finding
     return left
 
 
-def unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Array:
-    """Return samples of a place that goes round, which go on where they jumped by a whole turn or their range.
-
-    Args:
-        name: Name of the state.
-        x: Its samples, NaN where one is lost, `(N,)`.
-        unit: Its unit.
-        findings: What was decided; what is done here is added.
-    """
+def _unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Array:
+    """Return samples of a place that goes round, which go on where they jumped by a whole turn or their range."""
     measured = np.isfinite(x)
     values = x[measured]
     width, steps = float(np.ptp(values)) if len(values) else 0.0, np.diff(values)
@@ -449,6 +461,71 @@ def _turns_seen(steps: Array, rows: NDArray[np.int64], width: float, unit: str) 
         return ()
     digits = (float(f"{turn:.{k}g}") for k in range(1, 13))
     return (next((each for each in digits if abs(each - turn) <= max(spread, 1e-3 * usual)), turn),)
+
+
+def _resample(
+    t: Array, x: dict[str, Array], u: Array, dt: float, findings: list[Finding]
+) -> tuple[Array, dict[str, Array], Array, NDArray[np.int64]]:
+    """Return times, states, inputs and segments of samples at even times; segments break at gaps.
+
+    States `(N,)` are NaN where one was not measured, and so are even times next to such a sample; inputs, `(N, n_u)`,
+    are held from each sample to the next.
+    """
+    breaks = np.diff(t) > GAP * dt
+    if breaks.any():
+        findings.append(note("log.gaps", count=int(breaks.sum())))
+    segment = np.concatenate([[0], np.cumsum(breaks)])
+    uneven = np.abs(np.diff(t)[~breaks] - dt) > EVEN * dt
+    if not uneven.any():
+        return t, x, u, segment
+    findings.append(note("log.resampled", count=int(uneven.sum()), total=len(t) - 1, dt=dt))
+    states, wide = np.stack(list(x.values()), -1), np.ptp(u, axis=0)
+    parts = []
+    for label, rows in enumerate(np.split(np.arange(len(t)), np.flatnonzero(breaks) + 1)):
+        if len(t[rows]) < FEWEST:
+            continue
+        grid = np.arange(t[rows][0], t[rows][-1] + 1e-9 * dt, dt)
+        # The mean of held inputs over each even step, that of the last one up to the last sample.
+        at, held = t[rows], u[rows]
+        moved = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(held[:-1] * np.diff(at)[:, None], 0)])
+        ends = np.minimum(np.append(grid, grid[-1] + dt), at[-1])
+        sums, widths = np.stack([np.interp(ends, at, column) for column in moved.T], -1), np.diff(ends)[:, None]
+        held = held[np.searchsorted(at, grid + 1e-6 * dt, side="right") - 1]
+        means = np.where(widths > 1e-6 * dt, np.diff(sums, axis=0) / np.maximum(widths, 1e-6 * dt), held)
+        jumps = (np.abs(np.diff(u[rows], axis=0)) > JUMP * wide).any(-1)
+        parts.append((grid, _between_jumps(t[rows], states[rows], jumps, grid), means, np.full(len(grid), label)))
+    if not parts:
+        raise LogError("log.uneven", dt=dt)
+    times, found, inputs, labels = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return times, {name: found[:, k] for k, name in enumerate(x)}, inputs, labels
+
+
+def _between_jumps(t: Array, x: Array, jumps: NDArray[np.bool_], grid: Array) -> Array:
+    """Return states at even times, `(n, n_x)`; `jumps` says at which samples but the first an input jumps."""
+    from scipy.interpolate import CubicSpline  # half a second of imports that most logs do without
+
+    lost = ~np.isfinite(x)
+    if lost.any():
+        return np.stack([_measured_between(t, column, jumps, grid) for column in x.T], -1)
+    found = np.stack([np.interp(grid, t, column) for column in x.T], -1)
+    edges = [0, *(np.flatnonzero(jumps) + 1).tolist(), len(t) - 1]
+    for start, end in pairwise(edges):
+        if end - start > 1:  # of two samples alone the line is all that is known
+            here = slice(*np.searchsorted(grid, (t[start], t[end] * (1 + 1e-12))))
+            found[here] = CubicSpline(t[start : end + 1], x[start : end + 1])(grid[here])
+    return found
+
+
+def _measured_between(t: Array, column: Array, jumps: NDArray[np.bool_], grid: Array) -> Array:
+    """Return one state with lost samples at even times, `(n,)`; NaN where no sample is within half a step."""
+    measured = np.isfinite(column)
+    if measured.sum() < FEWEST:
+        return np.full(len(grid), np.nan)
+    steps = np.concatenate([[0], np.cumsum(jumps)])  # jumps until each sample
+    t = t[measured]
+    values = _between_jumps(t, column[measured, None], np.diff(steps[measured]) > 0, grid)[:, 0]
+    off = np.abs(t[np.searchsorted(0.5 * (t[1:] + t[:-1]), grid)] - grid)
+    return np.where(off > 0.5001 * np.ptp(grid) / max(len(grid) - 1, 1), np.nan, values)
 
 
 def _one_period(parts: Sequence[_Part], dt: float | None) -> float:
@@ -565,6 +642,25 @@ def _is_stop(value: Array, first: int, last: int) -> bool:
     step = steps[steps > 1e-9 * np.ptp(value)].min()  # others are of rounding
     neighbours = [k for k in (first - beside, last - 1 + beside) if 0 <= k < len(value)]
     return bool((np.abs(value[neighbours] - value[first]) > 2.5 * step).any())
+
+
+def _with_units(
+    columns: Mapping[str, Column], states: bool, known: Mapping[str, str] | None = None
+) -> dict[str, Column]:
+    """Return columns with the units of their headings; degrees of states become rad.
+
+    A column keeps what was given of it: a scale, and a unit that is none of the two. Turns per minute are those of an
+    angle if the state is known or called to be its rate, as `speed` is beside a single one.
+    """
+    inside, found = {name: split_unit(column.name)[1] for name, column in columns.items()}, dict(columns)
+    angles = [name for name in columns if "rad" in (columns[name].unit, in_radians(inside[name])[0])]
+    for name, column in columns.items():
+        turns = column.unit == "rad/s" or (name in PLAIN_RATES and len(angles) == 1)
+        turns |= any(is_rate_of(angle, name) or (known or {}).get(angle) == name for angle in angles)
+        unit, factor = in_radians(inside[name], turns) if states else (inside[name], 1.0)
+        if unit and column.scale == 1 and column.unit in ("-", unit):
+            found[name] = replace(column, unit=unit, scale=factor)
+    return found
 
 
 def _columns_of(group: Mapping[str, Any], states: bool) -> dict[str, Column]:

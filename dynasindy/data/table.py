@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dynasindy.data.files import MEASURED, PLAIN, read_file
-from dynasindy.data.headings import COMMAND, INPUT, UNITS, is_clock, named_by, plain_heading, plain_headings, split_unit
+from dynasindy.data.headings import COMMAND, INPUT, UNITS, is_clock, named_by, plain_heading, split_unit
 from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.sentences import setting
 from dynasindy.text import did_you_mean
@@ -47,7 +47,7 @@ def correct_map() -> str:
 
 
 @dataclass(frozen=True)
-class Words:
+class _Words:
     """Cells of a column that are no numbers: the line and text of the first one, and how many there are."""
 
     line: int
@@ -60,14 +60,16 @@ class Table:
     """Hold columns of a file.
 
     Attributes:
+        path: The file.
         frame: Numbers below the headings of the file, NaN of what is none; the index holds the line of each row.
         words: Cells that hold something else than a number, by heading.
         dated: Headings of columns that hold dates, in seconds.
         findings: What was decided.
     """
 
+    path: Path
     frame: pd.DataFrame
-    words: Mapping[str, Words]
+    words: Mapping[str, _Words]
     dated: frozenset[str] = frozenset()
     findings: tuple[Finding, ...] = ()
 
@@ -84,7 +86,7 @@ class Table:
         """Return the table with other numbers, maybe of fewer columns, of which some get new headings."""
         words = {names.get(heading, heading): each for heading, each in self.words.items() if heading in frame}
         dated = frozenset(names.get(heading, heading) for heading in self.dated if heading in frame)
-        return Table(frame.rename(columns=names), words, dated, (*self.findings, *findings))
+        return Table(self.path, frame.rename(columns=names), words, dated, (*self.findings, *findings))
 
     @cached_property
     def kinds(self) -> dict[str, str]:
@@ -108,6 +110,45 @@ class Table:
         frame = self.frame[self.of_kind("moving", "counter")]
         return dict(zip(frame, frame[np.isfinite(frame).all(axis=1)].to_numpy().T, strict=True))
 
+    def select(self, names: Sequence[str], dt: float | None = None) -> Table:
+        """Return the named columns, in this order; a heading `angle [rad]` may be named by `angle`.
+
+        The first column is that of time, and alone may hold dates, which become seconds. Where the file has none and a
+        sampling time is given, its rows are even.
+
+        Args:
+            names: Names or headings of the columns.
+            dt: Sampling time that was given [s].
+
+        Raises:
+            ValueError: a column is missing or stands there twice, or one has no number.
+        """
+        whole, time = self, names[0]
+        blank = time in whole.headings and whole.kinds[time] == "empty"
+        if dt is not None and (
+            blank or (time == "time" and not named_by(time, whole.headings))
+        ):  # nobody named another
+            rows = pd.DataFrame({time: dt * np.arange(len(whole.frame), dtype=np.float64)}, whole.frame.index)
+            others = whole.frame.drop(columns=time, errors="ignore")
+            whole = whole.edit(pd.concat([rows, others], axis=1), {}, note("log.no_time"))
+        places = [_find(self.path, name, whole.headings) for name in names]
+        frame = whole.frame.iloc[:, places]
+        first, *others = frame
+        if dates := [heading for heading in others if heading in whole.dated]:
+            frame = frame.assign(**dict.fromkeys(dates, np.nan))
+        words = {h: whole.words[h] for h in frame if h in whole.words and (h != first or h not in whole.dated)}
+        for heading in frame.columns[frame.isna().all()] if len(frame) else ():
+            if heading in words:
+                raise LogError("log.worded_column", file=str(self.path), column=heading, text=words[heading].text)
+            raise LogError("log.column_without_numbers", file=str(self.path), column=heading)
+        said = [
+            (weak if w.count > MANY * len(frame) else note)(
+                "log.words", line=w.line, column=h, text=w.text, count=w.count
+            )
+            for h, w in words.items()
+        ]
+        return replace(whole.edit(frame, {}, *said), words=words, dated=whole.dated & {first})
+
 
 def read_columns(path: Path) -> Table:
     """Read a file; a file that was read just before is not read again.
@@ -124,8 +165,8 @@ def read_columns(path: Path) -> Table:
 def _read(path: Path, changed: int, size: int) -> Table:
     raw, findings = read_file(path)
     raw, findings = _with_signals_apart(raw, findings)
-    headings = plain_headings([" ".join(str(heading).split()) for heading in raw.columns])
-    values, words, dated = np.empty((len(headings), len(raw))), dict[str, Words](), set[str]()
+    headings = _plain_headings([" ".join(str(heading).split()) for heading in raw.columns])
+    values, words, dated = np.empty((len(headings), len(raw))), dict[str, _Words](), set[str]()
     kept = list[int]()
     for k, heading in enumerate(headings):
         cells, unit = _without_unit(raw.iloc[:, k])
@@ -155,8 +196,20 @@ def _read(path: Path, changed: int, size: int) -> Table:
     kept = [k for k in kept if k not in same]
     whole = values if len(kept) == len(values) else values[kept]
     frame = pd.DataFrame(whole.T, index=raw.index, columns=[headings[k] for k in kept], copy=False)
-    table = Table(frame, words, frozenset(dated), tuple(findings))
+    table = Table(path, frame, words, frozenset(dated), tuple(findings))
     return _with_one_clock(_with_fractions(_with_whole_dates(table)))
+
+
+def _plain_headings(headings: Sequence[str]) -> list[str]:
+    """Return headings with plain names, but where two of these would be the same."""
+    own = {*headings}  # of which `der(angle)` is none in the unit `angle`
+    plain = [re.sub(r"\W+", "_", h).strip("_") if split_unit(h)[1] in own else plain_heading(h) for h in headings]
+    names = [split_unit(heading)[0] for heading in plain]
+    found = []
+    for new, old, name in zip(plain, headings, names, strict=True):
+        unit = "" if split_unit(old)[1] else split_unit(new)[1]
+        found.append(new if names.count(name) == 1 else f"{old} [{unit}]" if unit else old)
+    return found
 
 
 def _with_signals_apart(raw: pd.DataFrame, findings: list[Finding]) -> tuple[pd.DataFrame, list[Finding]]:
@@ -279,7 +332,7 @@ def _without_unit(column: pd.Series) -> tuple[pd.Series, str]:
     return text.str.removesuffix(unit).str.strip(), unit
 
 
-def _numbers(text: pd.Series) -> tuple[Array, Words | None, bool]:
+def _numbers(text: pd.Series) -> tuple[Array, _Words | None, bool]:
     """Return cells as numbers, the words in them, and whether these are dates, which become seconds."""
     if text.dtype.kind in "biuf":
         return text.to_numpy(dtype=np.float64), None, False
@@ -297,7 +350,7 @@ def _numbers(text: pd.Series) -> tuple[Array, Words | None, bool]:
     if not len(worded):
         return numbers, None, False
     first = str(worded.iloc[0])
-    words = Words(int(worded.index[0]), first[:40], len(worded))
+    words = _Words(int(worded.index[0]), first[:40], len(worded))
     may_be_date = np.isnan(numbers).all() and (DAY_FIRST.fullmatch(first) or not re.fullmatch(r"[\d.,]*", first))
     if may_be_date and np.isfinite(_seconds(worded.iloc[[0]]))[0]:
         dates = _seconds(text)
@@ -340,44 +393,6 @@ def _other_dates(text: pd.Series) -> Array:
         return np.full(len(text), np.nan)
     found = months if lost < 0 else days
     return np.mod(found, DAY) if re.fullmatch(r"[\d:.]+ ?[ap]m", first, re.IGNORECASE) else found
-
-
-def select_columns(path: Path, names: Sequence[str], dt: float | None = None) -> Table:
-    """Return the named columns of a file, in this order; a heading `angle [rad]` may be named by `angle`.
-
-    The first column is that of time, and alone may hold dates, which become seconds. Where the file has none and a
-    sampling time is given, its rows are even.
-
-    Args:
-        path: The file.
-        names: Names or headings of the columns.
-        dt: Sampling time that was given [s].
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is no table, a column is missing or stands there twice, or one has no number.
-    """
-    whole, time = read_columns(path), names[0]
-    blank = time in whole.headings and whole.kinds[time] == "empty"
-    if dt is not None and (blank or (time == "time" and not named_by(time, whole.headings))):  # nobody named another
-        rows = pd.DataFrame({time: dt * np.arange(len(whole.frame), dtype=np.float64)}, whole.frame.index)
-        others = whole.frame.drop(columns=time, errors="ignore")
-        whole = whole.edit(pd.concat([rows, others], axis=1), {}, note("log.no_time"))
-    places = [_find(path, name, whole.headings) for name in names]
-    frame = whole.frame.iloc[:, places]
-    first, *others = frame
-    if dates := [heading for heading in others if heading in whole.dated]:
-        frame = frame.assign(**dict.fromkeys(dates, np.nan))
-    words = {h: whole.words[h] for h in frame if h in whole.words and (h != first or h not in whole.dated)}
-    for heading in frame.columns[frame.isna().all()] if len(frame) else ():
-        if heading in words:
-            raise LogError("log.worded_column", file=str(path), column=heading, text=words[heading].text)
-        raise LogError("log.column_without_numbers", file=str(path), column=heading)
-    said = [
-        (weak if w.count > MANY * len(frame) else note)("log.words", line=w.line, column=h, text=w.text, count=w.count)
-        for h, w in words.items()
-    ]
-    return replace(whole.edit(frame, {}, *said), words=words, dated=whole.dated & {first})
 
 
 def _find(path: Path, name: str, headings: Sequence[str]) -> int:

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from dynasindy.data.recording import unwrap_angle
 from dynasindy.findings import LogError, note, wrong
 from dynasindy.identification.identify import LoggedData
 
@@ -100,27 +99,27 @@ def test_columns_with_a_clock_of_their_own_stand_at_the_times_of_the_first(tmp_p
     [("rad", 2 * np.pi), ("deg", 360.0), ("-", 2 * np.pi), ("counts", 2.0**10), ("counts", 4000.0), ("ticks", 2.0**32)],
 )
 @pytest.mark.parametrize("start", [0.0, -0.5])
-def test_an_angle_that_wraps_goes_on(unit, turn, start):
+def test_an_angle_that_wraps_goes_on(tmp_path, unit, turn, start):
     whole = turn * ANGLE / 3
     whole = whole.round() if turn > 360 else whole
-    inside, told = (whole - start * turn) % turn + start * turn, []
-    found = unwrap_angle("q", np.where(np.arange(ROWS) % 7, inside, np.nan), unit, told)
-    seen = np.isfinite(found)
-    jumps = int((np.abs(np.diff(inside[seen])) > turn / 2).sum())
-    assert told == [note("log.unwrapped", state="q", turn=turn, times=jumps, counts=turn > 360)]
-    assert seen.sum() == (np.arange(ROWS) % 7 > 0).sum()
-    assert np.ptp(found[seen] - whole[seen]) < 1e-9 * turn
+    inside = np.where(np.arange(ROWS) % 7, (whole - start * turn) % turn + start * turn, np.nan)
+    found = recording(tmp_path / "l.csv", "time,q,u", T, inside, COMMAND, states={"q": {"name": "q", "unit": unit}})
+    jumps = int((np.abs(np.diff(inside[np.isfinite(inside)])) > turn / 2).sum())
+    assert note("log.unwrapped", state="q", turn=turn, times=jumps, counts=turn > 360) in found.findings
+    x = found.transitions.x[:, 0].numpy()
+    seen = np.isfinite(x)
+    assert seen.sum() == np.isfinite(inside[1:-2]).sum() and np.ptp(x[seen] - whole[1:-2][seen]) < 1e-9 * turn
 
 
 @pytest.mark.parametrize("unit", ["-", "mm"])
 @pytest.mark.parametrize("turn", [1000.0, 400.0, 1.0, 437.5, 628.3])
 @pytest.mark.parametrize("start", [0.0, -0.5])
-def test_a_place_that_jumps_by_its_range_goes_on_whatever_its_unit_and_range(unit, turn, start):
+def test_a_place_that_jumps_by_its_range_goes_on_whatever_its_unit_and_range(tmp_path, unit, turn, start):
     for whole in (turn * ANGLE / 3, turn * (T + 0.2 * ANGLE)):  # to either side, or to one
         inside = (whole - start * turn) % turn + start * turn
-        found = unwrap_angle("q", inside, unit, told := [])
-        assert [each.values["turn"] for each in told] == [turn]
-        assert np.ptp(found - whole) < 1e-9 * turn
+        found = recording(tmp_path / "l.csv", f"time,q [{unit}],u", T, inside, COMMAND)
+        assert [each.values["turn"] for each in found.findings if each.code == "log.unwrapped"] == [turn]
+        assert np.ptp(found.transitions.x[:, 0].numpy() - whole[:-1]) < 1e-9 * turn
 
 
 def test_what_is_emptied_or_set_anew_stays_and_is_told_with_the_setting_that_unwraps_it(tmp_path):
@@ -145,9 +144,10 @@ LEVEL = np.interp(T, [0, 1.5, 1.8, 3.3, 3.6, 4], [0, 355, 2, 355, 1, 90])  # of 
 @pytest.mark.parametrize(
     "x", [ANGLE, LEVEL, LEVEL + 200, np.sign(COMMAND) * np.pi, 180 * COMMAND, np.clip(6 * COMMAND, -np.pi, np.pi)]
 )
-def test_what_moves_within_its_range_stays(x):
-    told = []
-    assert np.array_equal(unwrap_angle("q", x, "-", told), x) and not told
+def test_what_moves_within_its_range_stays(tmp_path, x):
+    found = recording(tmp_path / "l.csv", "time,q,u", T, x, COMMAND)
+    assert "log.unwrapped" not in [each.code for each in found.findings]
+    assert np.isin(found.transitions.x[:, 0].numpy(), x).all()
 
 
 def _require_truth(found, rows=ROWS - 1):

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from dynasindy.data.columns import Column, with_units
-from dynasindy.data.headings import in_radians, plain_headings, split_unit
+from dynasindy.data.headings import in_radians
+from dynasindy.data.table import read_columns
 from dynasindy.findings import LogError
 from dynasindy.identification.identify import LoggedData
 
@@ -35,21 +35,9 @@ def test_a_turn_is_two_pi_in_any_unit(unit, becomes, turn):
     ("heading", "name", "unit"),
     [("Temp °C", "Temp", "°C"), ("Pump %", "Pump", "%"), ("arm°", "arm", "°"), ("Level", "Level", "")],
 )
-def test_a_sign_at_the_end_is_the_unit(heading, name, unit):
-    assert [split_unit(plain) for plain in plain_headings([heading])] == [(name, unit)]
-
-
-def test_turns_per_minute_are_those_of_an_angle_or_stay():
-    """A rotor's speed is no rate of the pitch that it moves."""
-    headings = {"pitch": "deg", "pitch_rate": "rpm", "rotor": "rpm", "motor": "rpm"}
-    columns = {name: Column(f"{name} [{unit}]") for name, unit in headings.items()}
-    found = with_units(columns, True, {"pitch": "motor"})
-    assert {name: column.unit for name, column in found.items()} == {
-        "pitch": "rad",
-        "pitch_rate": "rad/s",
-        "rotor": "rpm",
-        "motor": "rad/s",
-    }
+def test_a_sign_at_the_end_is_the_unit(tmp_path, heading, name, unit):
+    (tmp_path / "log.csv").write_text("\n".join([f"time,{heading}", "0,1", "1,3"]))
+    assert read_columns(tmp_path / "log.csv").headings == ["time", f"{name} [{unit}]" if unit else name]
 
 
 def written(path, headings):
@@ -87,11 +75,14 @@ def swinging(path, headings, speed=30 / math.pi, noise=0.0):
     return str(path), np.stack([angle, rate], -1)[:-1]
 
 
-@pytest.mark.parametrize("known", [None, {"angle": "speed"}])
+@pytest.mark.parametrize(
+    ("name", "known"),
+    [("speed", None), ("speed", {"angle": "speed"}), ("motor", {"angle": "motor"}), ("angle_rate", None)],
+)
 @pytest.mark.parametrize("turned", [1, -1])
-def test_turns_per_minute_that_are_the_slope_of_an_angle_are_read_in_radians(tmp_path, known, turned):
+def test_turns_per_minute_that_are_the_slope_of_an_angle_are_read_in_radians(tmp_path, name, known, turned):
     """The rotor, in turns per minute as well, is the slope of nothing; a speed of the other sign is a speed."""
-    headings = "time [s],angle [deg],speed [rpm],rotor [rpm],u"
+    headings = f"time [s],angle [deg],{name} [rpm],rotor [rpm],u"
     path, swing = swinging(tmp_path / "log.csv", headings, turned * 30 / math.pi)
     if known and turned < 0:
         with pytest.raises(LogError) as error:
@@ -104,7 +95,7 @@ def test_turns_per_minute_that_are_the_slope_of_an_angle_are_read_in_radians(tmp
     assert x[:, :2] == pytest.approx(swing * [1, turned]) and 1299 < x[:, 2].max() < 1301
     assert found.signature.x_scale[1] == pytest.approx(4.1, abs=0.01)  # both rates are largest at the start
     (told,) = (each.values for each in found.findings if each.code == "log.converted")
-    assert told["units"] == {"angle": ("deg", "rad"), "speed": ("rpm", "rad/s")}
+    assert told["units"] == {"angle": ("deg", "rad"), name: ("rpm", "rad/s")}
     kept = LoggedData(path, told["kept"]).recording(None)
     assert kept.signature.state_units == ("deg", "rpm", "rpm")
 
