@@ -96,17 +96,18 @@ class Simulation:
         return f"Simulation({length}; error at the end: {', '.join(errors)}{' at worst' if runs > 1 else ''})"
 
     def plot(self, run: int = 0) -> Figure:
-        """Return a figure of a run: outputs beside their targets, and inputs.
+        """Return a figure of a run: outputs beside their targets, the other states, and inputs.
 
         Args:
             run: Which one.
         """
         from dynasindy.viz.response import tracking
 
-        shown, places = self.evaluation, list(self.evaluation.columns)
+        shown, places = self.evaluation, self.evaluation.state_order
         target = np.repeat(self.targets[run : run + 1], len(self.time), 0)
         outputs, inputs = {"controller": self.states[run][:, places]}, {"controller": self.inputs[run]}
-        return tracking(shown.time, target, outputs, inputs, shown.output_names, shown.signature)
+        names = [shown.signature.state_names[k] for k in places]
+        return tracking(shown.time, target, outputs, inputs, names, shown.signature)
 
     def _repr_png_(self) -> bytes:
         """Return the figure of the first run, which a notebook shows."""

@@ -373,6 +373,6 @@ def log_report(model: SindyModel, prediction: Forecast) -> str:
     if prediction.evaluation is not None:
         title = f"{prediction.evaluation.title}, {prediction.place}"
         shown = prediction.evaluation
-        table = to_text(summarise(shown), title, shown.units, shown.told_steady_seconds, width())
+        table = to_text(summarise(shown), title, shown.state_units, shown.told_steady_seconds, width())
         text += [table, *lines([*beyond_targets(shown), *restless(shown)]), ""]
     return "\n".join([*text, prediction.summary()])

@@ -41,7 +41,7 @@ def main(cfg: Any) -> None:
         draw_evaluation(result, out, name, cfg.formats)
         if cfg.animate:
             animate(result, out / f"{scenario.name}.gif")
-        table = to_text(summarise(result), result.title, result.units, result.told_steady_seconds, width())
+        table = to_text(summarise(result), result.title, result.state_units, result.told_steady_seconds, width())
         say(table, *lines(beyond_targets(result)), "")
         matter = states_that_matter(system, result.columns, result.trajectory["state"][0, 0])
         rerun = partial(evaluate, env, policy, scenario, sensing) if env.system.known else None

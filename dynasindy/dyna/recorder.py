@@ -226,6 +226,7 @@ class Recorder(Callback):
             "evaluation": summarise(final),
             "held": held,
             "units": final.units,
+            "state_units": final.state_units,
             "ranges": dict(zip(final.units, final.boxes, strict=False)),
             "steady_seconds": final.steady_seconds,
             "planning": self.parts.planner.settings(),

@@ -160,7 +160,17 @@ class Evaluation:
     @property
     def units(self) -> dict[str, str]:
         """Unit of each tracked state."""
-        return {self.signature.state_names[i]: self.signature.state_units[i] for i in self.columns}
+        return {name: self.state_units[name] for name in self.output_names}
+
+    @property
+    def state_units(self) -> dict[str, str]:
+        """Unit of each state."""
+        return dict(zip(self.signature.state_names, self.signature.state_units, strict=True))
+
+    @property
+    def state_order(self) -> list[int]:
+        """Indices of all states, those that are tracked first."""
+        return [*self.columns, *(k for k in range(self.signature.n_x) if k not in self.columns)]
 
     @property
     def seconds(self) -> float:

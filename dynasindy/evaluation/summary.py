@@ -22,6 +22,8 @@ RESTLESS = 0.02
 from -1 to 1 counts as 2]."""
 ROUNDING = 1e-4
 """What a reference may lie beyond its ends by, as float32 rounds it [ranges of the targets]."""
+MOST = 12
+"""States that are not tracked which a table has."""
 SINGLE = 1e-6
 """The same as a share of the ends themselves, where the range is none or small."""
 WORDS = {
@@ -46,6 +48,7 @@ def summarise(evaluation: Evaluation) -> Summary:
     Errors and control figures are means over the rows. Overshoot and times are medians over the rows that are
     steps, because one step that never settles has an infinite time; a median that is infinite, or that no row
     defines, is None. `settled/<axis>` is the share of steps that settle, `steps/<axis>` how many rows are steps.
+    `least/<state>` and `most/<state>` are the ends between which a state that is not tracked moves.
     """
     summary: Summary = {
         "return": _number(evaluation.returns.mean()),
@@ -62,6 +65,9 @@ def summarise(evaluation: Evaluation) -> Summary:
         steps = times[~times.isnan()]
         summary[f"settled/{axis}"] = _number(steps.isfinite().float().mean())
         summary[f"steps/{axis}"] = float(len(steps))
+    for i in evaluation.state_order[len(evaluation.columns) :]:
+        name, ends = evaluation.signature.state_names[i], evaluation.trajectory["state"][..., i].aminmax()
+        summary |= {f"least/{name}": _number(ends[0]), f"most/{name}": _number(ends[1])}
     for i, name in enumerate(evaluation.signature.input_names):
         for metric in CONTROL:
             summary[f"{metric}/{name}"] = _number(evaluation.metrics[metric][:, i].mean())
@@ -108,7 +114,7 @@ def to_text(
     Args:
         summary: The figures.
         title: First line.
-        units: Unit of each axis; rad if omitted.
+        units: Unit of each state; rad if omitted.
         steady: Length of the part that counts as steady state [s]; None leaves its error out, as of a sine.
         width: Columns of the terminal; axes that do not fit beside each other stand below. None lets lines be long.
     """
@@ -146,6 +152,9 @@ def to_text(
     for some in (inputs[k : k + beside] for k in range(0, len(inputs), beside)):
         lines.append(row("", some))
         lines += [row(f"{words[name]} [{UNITS[name]}]", cells(name, some)) for name in CONTROL]
+    others = [name for name in _columns(summary, "least") if name in units][:MOST]
+    lines += [row("not tracked", ("least", "most"))] * bool(others)
+    lines += [row(f"{n} [{units[n]}]", [_cell(summary[f"{end}/{n}"]) for end in ("least", "most")]) for n in others]
     lines.append(row("return", [_cell(summary["return"])]))
     if summary.get("own_return") is not None:
         lines.append(row("return of the environment itself", [_cell(summary["own_return"])]))

@@ -39,7 +39,7 @@ def _frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Fr
         curves = [_frame(axis, time, r[:, n], y[:, n]) for n, axis in enumerate(axes)]
         for axis, name, of in zip(axes, names, units, strict=True):
             axis.set_ylabel(label(name, of))
-        time_axis(axes[-1], time_span(time))
+        time_axis(figure, time_span(time))
         figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=2)
     for k in range(0, len(x), every):
         words = f"t = {time[k] / unit.seconds:.1f} {unit.name}{fast}"

@@ -27,6 +27,7 @@ from dynasindy.viz.style import (
     RED,
     SKY,
     array,
+    cut_time,
     draw_input,
     label,
     legend,
@@ -34,6 +35,7 @@ from dynasindy.viz.style import (
     styled,
     symbol,
     time_axis,
+    time_panels,
 )
 
 EDGE = 0.08
@@ -108,8 +110,9 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
     y, inputs = array(x[..., outputs]), array(u)
     targets, reach = array(found.targets[far]), array(found.reach)
     title = f"Farthest step, to {_in_words(found, found.targets[far])}"
-    n_r, n_u = len(outputs), signature.n_u
-    figure, axes = panels(n_r + n_u, 1, (7.0, 2.1 * n_r + 1.4 * n_u), title)
+    n_r, names = len(outputs), [*(signature.state_names[k] for k in outputs), *signature.input_names]
+    units = [*(signature.state_units[k] for k in outputs), *("-" for _ in signature.input_names)]
+    figure, axes = time_panels(names, units, title)
     seconds = array(dt * np.arange(y.shape[1]))
     near = np.isfinite(y) & (np.abs(y - targets) <= reach)
     stays = ~flights.away(found.reach).numpy()
@@ -119,11 +122,11 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
         False: f"{away} of these {drawn} that run away, cut off at the edges",
     }
     model = "the model itself" if stays[0] else "the model itself, which runs away"
-    # The model lies broad below the others, which often coincide with it and could not be seen behind it.
-    looks: list[dict[str, Any]] = [{"color": BLUE, "linewidth": 3.0, "label": model}]
-    looks += ({"color": SKY if it else ORANGE, "linewidth": 0.8, "label": words[it]} for it in stays[1:].tolist())
+    # The others lie broad below the model, which they often coincide with, and would not be seen behind it.
+    looks: list[dict[str, Any]] = [{"color": BLUE, "linewidth": 0.9, "zorder": 2.5, "label": model}]
+    looks += ({"color": SKY if it else ORANGE, "linewidth": 2.5, "label": words[it]} for it in stays[1:].tolist())
     for i, (axis, state) in enumerate(zip(axes, outputs, strict=False)):
-        axis.axhline(targets[i], color=BLACK, linestyle="--", linewidth=1.2, label="target")
+        axis.axhline(targets[i], color=BLACK, linestyle="--", linewidth=1.2, zorder=2.6, label="target")
         for row, look in zip(y, looks, strict=True):
             axis.plot(seconds, row[:, i], **look)
         error = limits.error * signature.x_scale[state]
@@ -133,12 +136,12 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
             values = y[stays, :, i][near[stays, :, i]]
             low, high = float(values.min(initial=low)), float(values.max(initial=high))
             axis.set_ylim(low - EDGE * (high - low), high + EDGE * (high - low))
-        axis.set_ylabel(label(signature.state_names[state], signature.state_units[state]))
     for i, axis in enumerate(axes[n_r:]):
         for row, look in zip(inputs, looks, strict=True):
-            draw_input(axis, seconds[:-1], row, signature, i, **{"linewidth": 1.0, **look})
-    legend(axes[0], "above")
-    time_axis(axes[-1], seconds)
+            draw_input(axis, seconds[:-1], row, signature, i, **look)
+    legend(axes[0], "below")
+    time_axis(figure, seconds)
+    cut_time(figure)
     return figure
 
 

@@ -20,12 +20,11 @@ from dynasindy.viz.style import (
     Array,
     array,
     draw_input,
-    label,
     legend,
-    panels,
     save_figures,
     styled,
     time_axis,
+    time_panels,
     time_span,
 )
 
@@ -50,8 +49,7 @@ def draw_identification(found: Identified, folder: Path, formats: Sequence[str] 
     """
     training, validation, names = found.source.training, found.source.validation, found.source.signature
     truth = "log" if found.source.logged else "plant"
-    restarts = describe_restarts(validation)
-    title = f"Free-running prediction of data that the fit did not see{restarts}, against the {truth}"
+    title = f"Free-running prediction of unseen data{describe_restarts(validation)}"
     time, later = (np.arange(len(data)) * data.dt for data in (training, validation))
     figures = {"training_data": training_data(time, training.x, training.u, names, segment=training.segment)}
     if len(validation):
@@ -91,7 +89,7 @@ def training_data(
         title = f"{title}; not measured: {', '.join(unseen)}"
     names = (*(signature.state_names[i] for i in seen), *inputs)
     units = (*(signature.state_units[i] for i in seen), *("-",) * len(inputs))
-    figure, axes, columns = _panels(names, units, title)
+    figure, axes = time_panels(names, units, title)
     moving = np.zeros((len(seconds), 0)) if u is None else array(u)
     x, shown, held = (_broken(rows, segment) for rows in (seconds, values, moving))
     for axis, i in zip(axes, seen, strict=False):
@@ -100,7 +98,7 @@ def training_data(
         draw_input(axis, x, held, signature, i, color=BLUE)
     restarts = seconds[np.isnan(moving).any(-1)]  # not all, which is true of a row without inputs
     _mark(axes, restarts, color=RED, linestyle="--", linewidth=1.0, label="ended early, began anew")
-    _finish(axes, columns, seconds, segment)
+    _finish(figure, seconds, segment)
     return figure
 
 
@@ -131,7 +129,7 @@ def prediction(
     seconds, truths, model = array(time), array(real), array(predicted)
     x = _broken(seconds, segment)
     names, whose = signature.state_names, "the real range" if truth == "real" else f"the {truth}'s range"
-    figure, axes, columns = _panels(names, signature.state_units, title)
+    figure, axes = time_panels(names, signature.state_units, title)
     for i in range(len(names)):
         known = truths[~np.isnan(truths[:, i]), i]
         scale = signature.x_scale[i]  # all that is known of the range of a state that was not measured
@@ -144,27 +142,16 @@ def prediction(
         ended = np.where(np.logical_or.accumulate(lost | ~np.isfinite(ended)), np.nan, ended)
         axes[i].plot(x, _broken(truths[:, i], segment), color=BLACK, linewidth=1.2, label=truth)
         axes[i].plot(x, _broken(ended, segment), color=RED, linestyle=":", linewidth=1.8, label="predicted")
-        whole = f"{f'{wide:.0f}' if wide >= 100 else f'{wide:.3g}'} {signature.state_units[i]}, {whose}"
-        axes[i].set_title(_fit(truths[:, i], model[:, i], whole), fontsize=8.5, loc="right")
+        whole = f"{f'{wide:.0f}' if wide >= 100 else f'{wide:.3g}'} {signature.state_units[i]}".removesuffix(" -")
+        axes[i].set_title(_fit(truths[:, i], model[:, i], f"{whole}, {whose}"), fontsize=8.5, loc="right")
         measured = not np.isnan(truths[:, i]).all()
         if wide > 0 and (measured or bool((np.abs(np.nan_to_num(ended)) > scale).any())):
             # A model that runs away must not flatten the plant's own curve.
             both, room = np.concatenate([known, ended[np.isfinite(ended)]]), (BEYOND - MARGIN) * wide
             low, high = max(both.min(), known.min() - room), min(both.max(), known.max() + room)
             axes[i].set_ylim(float(low - MARGIN * wide), float(high + MARGIN * wide))
-    _finish(axes, columns, seconds, segment)
+    _finish(figure, seconds, segment)
     return figure
-
-
-def _panels(names: Sequence[str], units: Sequence[str], title: str) -> tuple[Figure, list[Axes], int]:
-    columns = 2 if len(names) > 3 else 1
-    rows = -(-len(names) // columns)
-    figure, axes = panels(rows, columns, (9.0 if columns > 1 else 7.0, 1.9 * rows + 0.5), title)
-    for axis, name, unit in zip(axes, names, units, strict=False):
-        axis.set_ylabel(label(name, unit))
-    for axis in axes[len(names) :]:
-        axis.remove()
-    return figure, axes[: len(names)], columns
 
 
 def _mark(axes: Sequence[Axes], places: Array, **look: Any) -> None:
@@ -183,15 +170,13 @@ def _broken(values: Array, segment: ArrayLike | None) -> Array:
     return np.insert(values, _breaks(segment), np.nan, axis=0)
 
 
-def _finish(axes: Sequence[Axes], columns: int, seconds: Array, segment: ArrayLike | None) -> None:
+def _finish(figure: Figure, seconds: Array, segment: ArrayLike | None) -> None:
     """Mark where samples are missing or left out, unless that is everywhere, and name what the axes show."""
     breaks = _breaks(segment)
     if len(breaks) <= MOST:
-        _mark(axes, seconds[breaks], color=GREY, linestyle=":", linewidth=0.9, label=GAP)
-    legend(axes[0], "below")
-    for axis in axes[-columns:]:  # the last one of each column, above an empty place, too
-        time_axis(axis, time_span(seconds), "time without the gaps" if breaks else "time")
-        axis.tick_params(labelbottom=True)
+        _mark(figure.axes, seconds[breaks], color=GREY, linestyle=":", linewidth=0.9, label=GAP)
+    legend(figure.axes[0], "below")
+    time_axis(figure, time_span(seconds), "time without the gaps" if breaks else "time")
 
 
 def _fit(real: Array, predicted: Array, whole: str) -> str:

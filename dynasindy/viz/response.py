@@ -28,6 +28,7 @@ from dynasindy.viz.style import (
     RED,
     Array,
     array,
+    cut_time,
     draw_input,
     label,
     legend,
@@ -35,6 +36,7 @@ from dynasindy.viz.style import (
     save_figures,
     styled,
     time_axis,
+    time_panels,
     time_span,
 )
 
@@ -44,6 +46,8 @@ if TYPE_CHECKING:  # figures know a flight by its attributes alone
     from dynasindy.rig.session import Session
 
 AXES = SIGNATURE.state_names[:2]
+MOST = 10
+"""States that a figure has, those that are tracked first; all of these are in it."""
 LATE = 0.02
 """Share of the planned time that is left free beside what was flown, for the line at which a flight ended."""
 PAID = 0.01
@@ -63,42 +67,51 @@ def tracking(
     title: str = "",
     settling: bool = True,
 ) -> Figure:
-    """Draw the tracked axes of one or several controllers against the same reference.
+    """Draw the states of one or several controllers, those that are tracked against the same reference.
+
+    Where targets stay, the time ends with twice what passes until nothing moves any more.
 
     Args:
         time: `(T,)` at which each control period begins [s].
         reference: `(T, n_r)`, or as many rows as the outputs; None of a task that has none.
-        outputs: `(T, n_r)` per controller, or `(T + 1, n_r)` with those after the last period.
+        outputs: `(T, n)` per controller, or `(T + 1, n)` with those after the last period; the first `n_r` of the
+            states are tracked.
         inputs: `(T, n_u)` per controller, in [-1, 1]; adds one panel per input, in its own unit.
-        names: tracked states.
+        names: The states.
         signature: tells the units of states, and inputs with their units and ranges.
         title: of the figure.
         settling: Whether a reference that stays has what the step metrics use: the settling band and the final seconds.
     """
-    seconds, target = array(time), None if reference is None else array(reference)
+    seconds = array(time)
+    target = np.zeros((len(seconds), 0)) if reference is None else array(reference)
     inputs = inputs or {}
-    n_u = signature.n_u if inputs else 0
-    figure, axes = panels(len(names) + n_u, 1, (7.0, 2.1 * len(names) + 1.4 * n_u + 0.5), title)
-    for i, (axis, name) in enumerate(zip(axes, names, strict=False)):
-        if target is not None:
+    names = names[: max(target.shape[1], MOST)]
+    moving = signature.input_names if inputs else ()
+    units = [signature.state_units[signature.state_index(name)] for name in names]
+    figure, axes = time_panels([*names, *moving], [*units, *("-" for _ in moving)], title)
+    settling = settling and bool(target.size and (target == target[0]).all())
+    for i, axis in enumerate(axes[: len(names)]):
+        if i < target.shape[1]:
             look: Any = {"color": BLACK, "linestyle": "--", "linewidth": 1.2}
             axis.plot(_row_times(seconds, target), target[:, i], label="reference", **look)
         for (of, y), look in zip(outputs.items(), line_styles(outputs).values(), strict=True):
             axis.plot(_row_times(seconds, array(y)), array(y)[:, i], label=of, **look)
-        axis.set_ylabel(label(name, signature.state_units[signature.state_index(name)]))
-        if settling and target is not None and bool((target == target[0]).all()):
-            # The band in which the step metrics call it settled, and the seconds at its end.
-            (start, end), aim = time_span(seconds), float(target[0, i])
+        if settling and i < target.shape[1]:
+            # The band in which the step metrics call it settled.
+            aim = float(target[0, i])
             half = SETTLING_BAND * max((abs(aim - float(array(y)[0, i])) for y in outputs.values()), default=0.0)
             axis.axhspan(aim - half, aim + half, color=GREY, alpha=0.2, lw=0, label=f"{100 * SETTLING_BAND:g} % band")
-            steady = steady_seconds(float(seconds[1] - seconds[0]), len(seconds)) if len(seconds) > 1 else 0.0
-            text = f"steady state: last {format_duration(steady, longest=end - start, digits=3)}"
-            axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=text)
     for i, axis in enumerate(axes[len(names) :]):
         for (of, u), look in zip(inputs.items(), line_styles(inputs).values(), strict=True):
             draw_input(axis, seconds, array(u), signature, i, linewidth=1.0, label=of, **look)
-    legend(axes[0], "above")
-    time_axis(axes[-1], time_span(seconds))
+    start, end = time_span(seconds)
+    time_axis(figure, (start, end))
+    if settling and len(seconds) > 1 and not cut_time(figure):
+        steady = steady_seconds(float(seconds[1] - seconds[0]), len(seconds))
+        text = f"steady state: last {format_duration(steady, longest=end - start, digits=3)}"
+        for axis in axes[: target.shape[1]]:
+            axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=text)
+    legend(axes[0], "below")
     return figure
 
 
@@ -122,7 +135,7 @@ def _error_fan(evaluation: Evaluation, title: str) -> Figure:
         axis.set_ylim(bottom=0.5 * max(least, LEAST * band))
         axis.set_ylabel(f"|error| of {label(name, unit)}")
     legend(axes[0], "above")
-    time_axis(axes[-1], time_span(seconds))
+    time_axis(figure, time_span(seconds))
     return figure
 
 
@@ -155,7 +168,7 @@ def draw_evaluation(
     title = "\n".join(filter(None, [scenario, words]))
     states, following = evaluation.trajectory["state"], evaluation.trajectory["next", "state"]
     x = torch.cat([states[row], following[row, -1:]])  # and the state after the last period
-    columns = list(evaluation.columns) or list(range(signature.n_x))  # all states where the task has no references
+    columns = evaluation.state_order
     names = [signature.state_names[k] for k in columns]
     reference = evaluation.references[row] if evaluation.columns else None
     target = None if reference is None else torch.cat([reference, reference[-1:]])
@@ -214,9 +227,9 @@ def _draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -
     for axis in figure.axes:
         if shown.fault:
             axis.axvline(ended, color=RED, linewidth=1.0, label="ended, safe input")
-    time_axis(figure.axes[-1], (0.0, planned))
+    time_axis(figure, (0.0, planned))
     figure.axes[-1].set_xlim(right=planned * (1 + LATE * bool(shown.fault)))
-    legend(figure.axes[0], "above")
+    legend(figure.axes[0], "below")
     return figure
 
 
@@ -228,7 +241,7 @@ def _draw_excitation(found: tuple[Array, Array, Array], wiring: Wiring, guard: G
     seen = [i for i in range(states.shape[1]) if not np.isnan(states[:, i]).all()]
     for axis, place in zip(figure.axes, seen, strict=False):
         _draw_range(figure, axis, guard.ranges.get(wiring.signature.state_names[place], ()))
-    legend(figure.axes[0], "above")
+    legend(figure.axes[0], "below")
     return figure
 
 
@@ -243,7 +256,7 @@ def _shade_disturbances(figure: Figure, windows: Sequence[tuple[float, float]]) 
         for axis in figure.axes:
             axis.axvspan(start, end, color=ORANGE, alpha=0.2, lw=0, label="disturbed")
     if windows:
-        legend(figure.axes[0], "above")
+        legend(figure.axes[0], "below")
 
 
 def _draw_range(figure: Figure, axis: Axes, ends: Sequence[float]) -> None:

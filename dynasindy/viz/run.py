@@ -94,7 +94,7 @@ def draw_run(
         figures["gate"] = gate(decisions, unit=unit)
     response, which = read_table(folder / "data" / "step_response.csv"), found.get("drawn", {}).get("words", "")
     tracked = [name.removeprefix("reference_") for name in response if name.startswith("reference_")]
-    outputs, held = tracked or names, periods(response, inputs)
+    outputs, held = [*tracked, *(name for name in names if name not in tracked)], periods(response, inputs)
     reference = response[[f"reference_{name}" for name in tracked]] if tracked else None
     step = reference is not None and bool((reference == reference.iloc[0]).all(axis=None))
     title = f"{'Step response' if step else 'Response'}\n{which}".strip()  # which episode of how many it is
@@ -191,7 +191,7 @@ def _growing_error(time: Array, error: Array) -> Figure:
         axis.plot(time[zero], below, label="exactly 0, below the axis", **look)
     axis.set_yscale("log")
     legend(axis)
-    time_axis(axis, (0.0, time.max(initial=0.0) or 1.0))
+    time_axis(figure, (0.0, time.max(initial=0.0) or 1.0))
     axis.set_ylabel(f"RMS error of the states\n[{TYPICAL}]")
     return figure
 

@@ -19,7 +19,7 @@ from dynasindy.data.headings import RATE_NAMES
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import replace_file
 from dynasindy.systems.base import WHOLE, Signature
-from dynasindy.text import duration_unit
+from dynasindy.text import duration_unit, format_duration
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -30,10 +30,16 @@ BLUE, RED, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 """Colour-blind safe palette (Okabe and Ito 2008); black is always the reference or the real plant."""
 CYCLE = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 GREY = "#7f7f7f"
-ROW = 95
-"""Letters that a row of a legend above an axis holds."""
+ROW = 13.5
+"""Letters that a row of a legend above an axis or below a figure holds for each inch."""
 LEGEND = 60
 """Letters that a row of a legend beside an axis holds."""
+USED = 0.1
+"""Part of the range of an actuator below which an axis shows what was used of it."""
+CALM = 0.02
+"""Part of what a line moved by which it may stray from its last value when nothing moves any more."""
+PANEL = 24
+"""Letters that stand beside a panel of a figure over time."""
 
 # Any: the stubs want a literal type of every setting.
 STYLE: Any = {
@@ -115,18 +121,27 @@ def symbol(name: str) -> str:
         return name
     if (head.isalpha() and len(head) > 1 and head not in GREEK) or f"{{}}_{tail}" in RATE_NAMES:
         return name
-    head = rf"\{head}" if head in GREEK else head
+    head, tail = (rf"\{part}" if part in GREEK else part for part in (head, tail))
+    if len(tail) > 1 and tail not in GREEK and not tail.startswith("\\"):  # nor is a word there a product of letters
+        tail = rf"\mathrm{{{tail}}}"
     return f"${head}_{{{tail}}}$" if tail else f"${head}$"
 
 
 def label(name: str, unit: str = "") -> str:
-    """Return an axis label: the quantity in words, its symbol and its unit."""
+    """Return an axis label: the quantity in words, its symbol and its unit, in lines that fit beside a panel."""
     words = f"{WORDS[name]} " if name in WORDS else ""
-    return f"{words}{symbol(name)}" + (f" [{unit}]" if unit else "")
+    text, letters = symbol(name), len(words) + 3
+    if text == name:
+        text = re.sub(rf"(.{{{PANEL // 2},}}?[_ ])(?=.{{4}})", r"\1\n", name) if len(name) > PANEL else name
+        letters = len(name)
+    between = "\n" if letters + len(unit) + 3 > PANEL else " "
+    return f"{words}{text}" + (f"{between}[{unit}]" if unit else "")
 
 
 def draw_input(axis: Axes, seconds: Array, u: Array, signature: Signature, place: int, **look: Any) -> None:
     """Draw an input over time as it is held, up to the end of its last period, in the unit and range of its actuator.
+
+    The axis ends with what is drawn where that is a small part of the range.
 
     Args:
         axis: Where.
@@ -141,11 +156,14 @@ def draw_input(axis: Axes, seconds: Array, u: Array, signature: Signature, place
     axis.step(np.append(seconds, end), np.append(own, own[-1:]), where="post", **look)
     limits = signature.input_limits or ((-1.0, 1.0),) * signature.n_u
     low, high = signature.in_own_units(np.array(limits).T)[:, place]
+    least, most = axis.dataLim.intervaly
+    if 0 < most - least < USED * (high - low):
+        low, high = least, most
     room = 0.04 * (high - low)
     axis.set_ylim(low - room, high + room)
     unit = signature.input_units[place] if signature.input_units else "-"
     if unit == "-" and signature.input_ends and signature.input_ends[place] != WHOLE:
-        unit = "unit of its actuator"
+        unit = ""  # which the log does not tell
     axis.set_ylabel(label(signature.input_names[place], unit))
 
 
@@ -165,23 +183,55 @@ def time_span(seconds: Array) -> tuple[float, float]:
     return 0.0 if 0 < start < period + 1e-9 else start, round(float(end), 9)
 
 
-def time_axis(axis: Axes, seconds: ArrayLike, words: str = "time") -> None:
-    """Let an axis end where its data in seconds do, with ticks in the unit in which its length is given: s, min or h.
+def time_panels(names: Sequence[str], units: Sequence[str], title: str) -> tuple[Figure, list[Axes]]:
+    """Return a figure with a panel over time for each quantity, in two columns where they are many."""
+    columns = 2 if len(names) > 4 else 1
+    rows = -(-len(names) // columns)
+    figure, axes = panels(rows, columns, (9.0 if columns > 1 else 7.0, 1.9 * rows + 0.5), title)
+    for axis, name, unit in zip(axes, names, units, strict=False):
+        axis.set_ylabel(label(name, unit))
+    for axis in axes[len(names) :]:
+        axis.remove()
+    return figure, axes[: len(names)]
+
+
+def time_axis(figure: Figure, seconds: ArrayLike, words: str = "time") -> None:
+    """Let panels end where their data in seconds do, with ticks in the unit in which the length is given: s, min or h.
 
     Args:
-        axis: Where; figures that share it follow.
+        figure: Whose last panels name the time, one of each column, also above an empty place.
         seconds: The times that it shows, or its two ends [s]; `time_span` gives those of a run.
         words: What it shows.
     """
     low, high = float(np.min(seconds, initial=np.inf)), float(np.max(seconds, initial=-np.inf))
     unit, ticks = duration_unit(max(0.0, high - low)), MaxNLocator(steps=[1, 2, 5, 10])
-    axis.set_xlabel(f"{words} [{unit.name}]")
-    axis.xaxis.set_major_locator(ticks)
-    if unit.seconds != 1:
-        places = ticks.tick_values(low / unit.seconds, high / unit.seconds)
-        axis.set_xticks([unit.seconds * place for place in places], [f"{place:g}" for place in places])
-    if low < high:
-        axis.set_xlim(low, high)
+    columns = len({axis.get_position().x0 for axis in figure.axes})
+    for axis in figure.axes[-columns:]:
+        axis.set_xlabel(f"{words} [{unit.name}]")
+        axis.tick_params(labelbottom=True)
+        axis.xaxis.set_major_locator(ticks)
+        if unit.seconds != 1:
+            places = ticks.tick_values(low / unit.seconds, high / unit.seconds)
+            axis.set_xticks([unit.seconds * place for place in places], [f"{place:g}" for place in places])
+        if low < high:
+            axis.set_xlim(low, high)
+
+
+def cut_time(figure: Figure) -> bool:
+    """Let the time of steps end with twice what passes until no line moves any more, and return whether that is early.
+
+    A line may stray from its last value by `CALM` of what it moved.
+    """
+    last = 0.0
+    start, end = figure.axes[-1].get_xlim()
+    for line in (line for axis in figure.axes for line in axis.lines):
+        time, values = array(line.get_xdata()), array(line.get_ydata())
+        far = ~(np.abs(values - values[-1]) <= CALM * np.ptp(values))
+        last = max(last, float(time[far].max(initial=start) - start))
+    if not 0 < 4 * last < end - start:
+        return False
+    time_axis(figure, (start, start + 2 * last), f"time, of {format_duration(end - start)} in all")
+    return True
 
 
 def legend(axis: Axes, place: Literal["above", "beside", "below"] = "beside") -> None:
@@ -193,15 +243,16 @@ def legend(axis: Axes, place: Literal["above", "beside", "below"] = "beside") ->
     handles, words = list(named.values()), list(named)
     if not named:
         return
+    # An entry takes its letters and a sample of its line; more than a row holds would leave the figure.
+    rows = -(-sum(len(name) + 6 for name in words) // int(ROW * axis.figure.bbox.width / axis.figure.dpi))
+    look: dict[str, Any] = {"columnspacing": 1.2, "handlelength": 1.6, "ncols": -(-len(words) // rows)}
     if place == "below":
-        axis.figure.legend(handles, words, loc="outside lower center", ncols=len(words))
+        axis.figure.legends.clear()
+        axis.figure.legend(handles, words, loc="outside lower center", **look)
     elif place == "beside":
         words = [textwrap.fill(name, LEGEND) for name in words]
         axis.legend(handles, words, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     else:
-        # An entry takes its letters and a sample of its line; more than a row holds would press the axis together.
-        rows = -(-sum(len(name) + 6 for name in words) // ROW)
-        look: dict[str, Any] = {"columnspacing": 1.2, "handlelength": 1.6, "ncols": max(1, -(-len(words) // rows))}
         axis.legend(handles, words, loc="lower right", bbox_to_anchor=(1.0, 1.0), **look)
 
 

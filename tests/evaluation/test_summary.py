@@ -6,6 +6,7 @@ import math
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
@@ -155,6 +156,9 @@ def test_json_holds_the_summary_and_csv_one_row(tmp_path: Path) -> None:
     record = json.loads(figures.read_text())
     assert (record.pop("scenario"), record.pop("rows")) == ("two", 2)
     assert record == summarise(result)
+    rates = result.trajectory["state"][..., 2:].flatten(0, -2)
+    ends = [[record[f"{end}/{name}"] for name in system.signature.state_names[2:]] for end in ("least", "most")]
+    assert np.array(ends) == pytest.approx(np.array([rates.min(0).values, rates.max(0).values]))
 
     rows = list(csv.DictReader(table.open()))
     assert len(rows) == 10

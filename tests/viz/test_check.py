@@ -42,7 +42,8 @@ def test_the_model_itself_steps_to_the_farthest_target_with_or_without_other_pla
     found = held_cart(draws)
     target, model, *others = draw_check(found)["steps"].axes[0].lines
     assert set(target.get_ydata()) == {-0.4} and len(others) == draws
-    assert all(other.get_linewidth() < model.get_linewidth() for other in others)  # so that it is seen on the model
+    for other in others:  # behind the model, and broader, so that both are seen
+        assert other.get_linewidth() > model.get_linewidth() and other.get_zorder() < model.get_zorder()
     np.testing.assert_allclose(model.get_ydata(), found.steps.x[0, :, 0])
     assert model.get_ydata()[-1] == pytest.approx(-0.4, abs=0.02)
 

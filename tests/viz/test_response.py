@@ -34,11 +34,11 @@ OUTPUT = REFERENCE * (1 - torch.exp(-TIME)).unsqueeze(-1)
 def test_tracking_draws_reference_and_every_controller() -> None:
     figure = tracking(TIME, REFERENCE, {"a": OUTPUT, "b": 0.5 * OUTPUT}, {"a": OUTPUT, "b": -OUTPUT})
     assert [a.get_ylabel().split(" [")[1] for a in figure.axes] == ["rad]", "rad]", "-]", "-]"]
-    assert figure.axes[-1].get_xlabel() == "time [s]"
     lines = figure.axes[1].lines
     np.testing.assert_allclose(lines[0].get_ydata(), 0.25)
     np.testing.assert_allclose(lines[2].get_ydata(), 0.5 * OUTPUT[:, 1], rtol=1e-6)
-    assert [t.get_text() for t in figure.axes[0].get_legend().get_texts()][:3] == ["reference", "a", "b"]
+    (legend,) = figure.legends
+    assert [t.get_text() for t in legend.get_texts()][:3] == ["reference", "a", "b"]
 
 
 def test_the_state_after_the_last_period_is_drawn_at_its_end() -> None:
@@ -58,10 +58,27 @@ def test_inputs_are_drawn_as_held() -> None:
 
 
 def test_step_response_shows_the_five_percent_band_and_the_last_five_seconds() -> None:
-    figure = tracking(TIME, REFERENCE, {"a": OUTPUT})
+    figure = tracking(TIME, REFERENCE, {"a": REFERENCE * (1 - torch.exp(-0.2 * TIME)).unsqueeze(-1)})
+    assert figure.axes[-1].get_xlim() == (0.0, 20.0)
     band, steady = figure.axes[0].patches
     assert (band.get_y(), band.get_height()) == pytest.approx((0.38, 0.04))
     assert (steady.get_x(), steady.get_width()) == pytest.approx((15.0, 5.0))
+
+
+def test_the_time_of_a_step_ends_with_twice_what_passes_until_it_rests() -> None:
+    """An exponential comes within a fiftieth after ln 50 time constants."""
+    figure = tracking(TIME, REFERENCE, {"a": OUTPUT})
+    assert figure.axes[0].get_xlim() == pytest.approx((0.0, 2 * np.log(50)), abs=0.1)
+    waves = REFERENCE * (1 + 0.1 * torch.sin(TIME)).unsqueeze(-1)
+    assert tracking(TIME, waves, {"a": OUTPUT}).axes[0].get_xlim() == (0.0, 20.0)
+
+
+def test_states_that_are_not_tracked_are_drawn_below_without_a_reference() -> None:
+    states = torch.cat([OUTPUT, torch.cos(TIME).unsqueeze(-1).expand(-1, 4)], -1)
+    figure = tracking(TIME, REFERENCE, {"a": states}, {"a": OUTPUT}, SIGNATURE.state_names)
+    assert [len(axis.lines) for axis in figure.axes] == [2, 2, 1, 1, 1, 1, 1, 1]
+    named = [axis.get_xlabel() != "" for axis in figure.axes]
+    assert named == [False] * 6 + [True] * 2  # two columns, each with its time below
 
 
 def test_inputs_are_drawn_in_the_units_of_their_actuators() -> None:
@@ -135,7 +152,7 @@ def test_the_episode_that_begins_farthest_is_drawn_with_the_labels_of_its_plant(
     result = evaluate(ControlEnv(system, task, substeps=1), rest(1), Scenario("swing", None, 9, 0.5))
     figure = figures(result)["swing"]
     assert abs(figure.axes[0].lines[1].get_ydata()[0]) == result.outputs[:, 0, 0].abs().max()
-    assert [axis.get_ylabel() for axis in figure.axes] == [r"$\theta$ [rad]", "$u$ [-]"]
+    assert [axis.get_ylabel() for axis in figure.axes] == [r"$\theta$ [rad]", r"$\Omega$ [rad/s]", "$u$ [-]"]
 
 
 RIG = Signature(("theta", "level"), ("rad", "m"), ("u",), (1.0, 1.0))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.mathtext import MathTextParser
 
 from dynasindy.systems import Signature
@@ -9,15 +10,23 @@ from dynasindy.viz.style import (
     GREEK,
     draw_input,
     label,
+    legend,
     panels,
     symbol,
+    time_panels,
     time_span,
 )
 
 
 @pytest.mark.parametrize(
     ("name", "expected"),
-    [("alpha_a", r"$\alpha_{a}$"), ("Omega", r"$\Omega$"), ("u_p", "$u_{p}$"), ("x", "$x$")],
+    [
+        ("alpha_a", r"$\alpha_{a}$"),
+        ("Omega", r"$\Omega$"),
+        ("u_p", "$u_{p}$"),
+        ("u_angle", r"$u_{\mathrm{angle}}$"),
+        ("x", "$x$"),
+    ],
 )
 def test_symbols(name: str, expected: str) -> None:
     assert symbol(name) == expected
@@ -35,6 +44,27 @@ def test_a_title_has_minus_signs_and_keeps_hyphens():
     assert " ".join(figure.get_suptitle().split()) == words
 
 
+@pytest.mark.parametrize("name", ["Temperature_1_rate", "joint_position_of_the_left_arm", "omega_p", "T"])
+def test_labels_fit_beside_their_panel_and_legends_below_their_figure(name: str) -> None:
+    figure, axes = time_panels([name] * 6, ["rad/s"] * 6, "")
+    axes[0].plot([0, 1], [0, 1], label="a line of " + 60 * "w")
+    axes[0].plot([0, 1], [1, 0], label="another of " + 60 * "w")
+    legend(axes[0], "below")
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.draw(renderer)
+    boxes = [axis.yaxis.label.get_window_extent(renderer) for axis in axes[::2]]
+    assert all(below.y1 < above.y0 for above, below in zip(boxes, boxes[1:], strict=False))
+    box = figure.legends[0].get_window_extent(renderer)
+    assert box.x0 >= 0 and box.x1 <= figure.bbox.width
+
+
+def test_the_axis_of_an_input_that_hardly_moves_shows_how_it_does() -> None:
+    _, (shown,) = panels(1)
+    draw_input(shown, np.arange(3.0), np.array([[0.01], [0.02], [0.01]]), Signature(("x",), ("m",), ("u",), (1.0,)), 0)
+    low, high = shown.get_ylim()
+    assert 0 < low < 0.01 and 0.02 < high < 0.03
+
+
 @pytest.mark.parametrize("name", ["größe", "x12", "T_in2", "theta_1", "u"])
 def test_symbols_are_ones_that_matplotlib_reads(name: str) -> None:
     parse_math(label(name, "°/s"))
@@ -50,7 +80,7 @@ def parse_math(text: str) -> None:
     [
         ((), (), (), (-1.08, 1.08, "$u_{b}$ [-]")),
         ([[-1, 1], [-12, 12]], [[-1, 1], [0, 1]], ["-", "V"], (-0.48, 12.48, "$u_{b}$ [V]")),
-        ([[-1, 1], [0, 10]], (), (), (-0.4, 10.4, "$u_{b}$ [unit of its actuator]")),
+        ([[-1, 1], [0, 10]], (), (), (-0.4, 10.4, "$u_{b}$")),
     ],
 )
 def test_the_axis_of_an_input_has_the_range_and_the_unit_of_its_actuator(ends, limits, units, axis) -> None:
