@@ -8,9 +8,11 @@ import torch
 from torch import Tensor
 
 from dynasindy.sindy.functions import QUOTIENTS
-from dynasindy.sindy.library import Library, variable
+from dynasindy.sindy.library import Feature, Library, of, variable
 from dynasindy.systems.base import Diverged
 
+NEAR = 0.5
+"""Part of the smaller of two numbers below which their sum shows that they nearly cancel."""
 CANCELLED = 1e-9
 """Part of its own change that is left of a state, below which nothing is."""
 
@@ -31,11 +33,13 @@ def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[s
     lines = []
     for i, state in enumerate(library.signature.state_names):
         groups: dict[str, list[tuple[str, float]]] = {}
-        for feature, name, value in zip(library.features, library.names, coefficients[:, i].tolist(), strict=True):
+        for feature, value in _without_cancelling(
+            dict(zip(library.features, coefficients[:, i].tolist(), strict=True))
+        ):
             if value:
                 quotient = " ".join(f.text() for f in feature.factors if f.function in QUOTIENTS)
                 above = " ".join(f.text() for f in feature.factors if f.function not in QUOTIENTS) or "1"
-                groups.setdefault(quotient, []).append((above if quotient else name, value))
+                groups.setdefault(quotient, []).append((above if quotient else feature.name(), value))
         written = format_sum(groups.pop("", []), digits)
         for quotient, terms in groups.items():
             # What is divided by the same is written over it once.
@@ -48,6 +52,23 @@ def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[s
             written += f"{joint}{above} {quotient}"
         lines.append(f"{left_side(library, state)} = {written or '0'}")
     return lines
+
+
+def _without_cancelling(terms: dict[Feature, float]) -> list[tuple[Feature, float]]:
+    """Return terms of which none outside of a quotient nearly cancels one within: both as one, over the quotient.
+
+    With q = 1 + k cos^2 a sum c f + d f / q is ((c + d) f + c k f cos^2) / q.
+    """
+    for feature, within in [*terms.items()]:
+        for factor in [f for f in feature.factors if f.function in QUOTIENTS and f.power == 1]:
+            rest = Feature(tuple(f for f in feature.factors if f != factor))
+            outside = terms.get(rest, 0.0)
+            if abs(within + outside) < NEAR * min(abs(within), abs(outside)):
+                cosine = of(factor.function.replace("per_cos2", "cos"), *factor.variables, power=2)
+                more = rest * cosine * Feature((factor,))
+                terms |= {rest: 0.0, feature: within + outside}
+                terms[more] = terms.get(more, 0.0) + outside * factor.frequency
+    return [*terms.items()]
 
 
 def left_side(library: Library, state: str) -> str:

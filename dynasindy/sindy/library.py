@@ -75,7 +75,7 @@ class Factor:
         known, number = function(self.function), f"{self.frequency:g}"
         scale = "" if self.frequency == 1 or known.parametric else f"{number} "
         names = [scale + v for v in self.variables]
-        written = known.text.format(", ".join(names), number, *names)
+        written = known.text.format(", ".join(names), number, *names).replace("+ -", "- ").replace("- -", "+ ")
         return written if self.power == 1 else f"{written}^{self.power}"
 
 
@@ -180,6 +180,8 @@ _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _NAME = r"[A-Za-z_]\w*"
 _SPELLINGS = {
     r"exp\(-\(([^()]+)\)\^2\)": r" bell(\1)",
+    r"/\(1 - (?=[\d.])": "/(1 + -",
+    r"(max\(0, |sqrt\()([^()]+) \+ (?=[\d.])": r"\1\2 - -",
     rf"/\(1 \+ ({_NUMBER}) cos\(([^()]+)\)\^2\)": r" per_cos2(\2; \1)",
     rf"max\(0, ([^()]+) - ({_NUMBER})\)": r" hinge(\2 \1)",
     rf"sqrt\(([^()]+) - ({_NUMBER})\)": r" root(\2 \1)",

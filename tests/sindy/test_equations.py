@@ -2,6 +2,8 @@
 
 import csv
 import io
+import math
+import re
 
 import pytest
 import torch
@@ -59,6 +61,20 @@ def test_what_is_divided_by_the_same_is_written_over_it_once(values, written):
     b = variable("b")
     library = Library(SIGNATURE, [CONSTANT, b * by, variable("u", 2) * by, by, other * b])
     assert equations(library, torch.tensor([values, (0,) * 5]).mT) == [f"alpha_p' = {written}", "b' = 0"]
+
+
+@pytest.mark.parametrize(("k", "inside"), [(-0.25, -5.2), (3.0, -4.0), (3.0, -5.0), (3.0, 5.0), (3.0, -1.0)])
+def test_what_nearly_cancels_across_a_quotient_is_written_as_one_that_has_the_same_values(k, inside):
+    f, by = of("sin", "alpha_p"), of("per_cos2", "alpha_p", frequency=k)
+    library = Library(SIGNATURE, [f, f * by, variable("u") * by])
+    text, _ = equations(library, torch.tensor([[5.0, inside, 1.0], [0, 0, 0]]).mT)
+    plain = re.sub(r"(?<=[\w)]) (?=[a-z(])", "*", text.partition(" = ")[2].replace("^", "**"))
+    for angle in (0.3, 1.2):
+        found = eval(plain, {"sin": math.sin, "cos": math.cos, "alpha_p": angle, "u": 2.0})
+        assert found == pytest.approx(
+            5 * math.sin(angle) + (inside * math.sin(angle) + 2) / (1 + k * math.cos(angle) ** 2)
+        )
+    assert (" sin(alpha_p) cos(alpha_p)^2" in text) == (abs(5 + inside) < 0.5 * min(5, abs(inside)))
 
 
 def test_csv_holds_every_digit_and_the_units():

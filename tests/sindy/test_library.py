@@ -55,7 +55,7 @@ def test_names_that_do_not_exist_are_refused():
         "|a - b|",
         "exp(-(a - b)^2)",
         "w cos(a - b)^2",
-        "u /(1 + -0.3 cos(a - b)^2)",
+        "u /(1 - 0.3 cos(a - b)^2)",
         "/(1 + 0.5 cos(a + b)^2)",
     ],
 )
@@ -68,11 +68,12 @@ def test_functions_of_two_angles_are_read_as_they_are_written(text):
 
 WRITTEN = {
     "w^2 /(1 + 3 cos(a)^2)": variable("w", 2) * of("per_cos2", "a", frequency=3.0),
+    "w /(1 - 0.25 cos(a)^2)": variable("w") * of("per_cos2", "a", frequency=-0.25),
     "/(1 + 0.25 cos(a)^2)^2": of("per_cos2", "a", frequency=0.25, power=2),
     "max(0, w - 0.5)": of("hinge", "w", frequency=0.5),
-    "max(0, w - -1e-05)^3": of("hinge", "w", frequency=-1e-5, power=3),
+    "max(0, w + 1e-05)^3": of("hinge", "w", frequency=-1e-5, power=3),
     "sqrt(h - 0.2)": of("root", "h", frequency=0.2),
-    "sqrt(h - -0.2) w": of("root", "h", frequency=-0.2) * variable("w"),
+    "sqrt(h + 0.2) w": of("root", "h", frequency=-0.2) * variable("w"),
     "sqrt(2 h)": of("sqrt", "h", frequency=2.0),
     "exp(-(4 a)^2)": of("bell", "a", frequency=4.0),
     "exp(-(a)^2)^2": of("bell", "a", power=2),
@@ -91,9 +92,9 @@ def test_what_is_written_is_read_again(text):
 
 
 WORDS = (
-    "w /(1 + 3 cos(a)^2)",
+    "w /(1 - 0.3 cos(a)^2)",
     "max(0, w - 0.5)",
-    "sqrt(w - 0.5)",
+    "sqrt(w + 0.5)",
     "exp(-(4 a)^2)",
     "sqrt(2 a)^3",
     "slack(w, a; 0.4)",
@@ -107,9 +108,9 @@ def test_the_values_are_those_that_the_words_say():
     found = library(torch.tensor([[a, w]], dtype=torch.float64), torch.zeros(1, 0))[0].tolist()
     assert found == pytest.approx(
         [
-            w / (1 + 3 * math.cos(a) ** 2),
+            w / (1 - 0.3 * math.cos(a) ** 2),
             max(0.0, w - 0.5),
-            math.sqrt(w - 0.5),
+            math.sqrt(w + 0.5),
             math.exp(-((4 * a) ** 2)),
             math.sqrt(2 * a) ** 3,
             w - a - 0.4,
