@@ -41,7 +41,7 @@ from dynasindy.control.period import as_planned, suited_period
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.forecast import Forecast, predict
 from dynasindy.evaluation.scenarios import Policy, Scenario, step_references
-from dynasindy.evaluation.summary import beyond_targets, restless, summarise, to_text
+from dynasindy.evaluation.summary import to_text
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, wrong
 from dynasindy.identification.forecast_errors import forecast_errors
@@ -373,6 +373,6 @@ def log_report(model: SindyModel, prediction: Forecast) -> str:
     if prediction.evaluation is not None:
         title = f"{prediction.evaluation.title}, {prediction.place}"
         shown = prediction.evaluation
-        table = to_text(summarise(shown), title, shown.state_units, shown.told_steady_seconds, width())
-        text += [table, *lines([*beyond_targets(shown), *restless(shown)]), ""]
+        table = to_text(shown.summary(), title, shown.state_units, shown.told_steady_seconds, width())
+        text += [table, *lines([*shown.beyond_targets, *shown.restless]), ""]
     return "\n".join([*text, prediction.summary()])

@@ -14,7 +14,7 @@ def main(cfg: Any) -> None:
 
     from dynasindy.control.integral import IntegralAction
     from dynasindy.evaluation.scenarios import evaluate
-    from dynasindy.evaluation.summary import beyond_targets, save_evaluation, summarise, to_text
+    from dynasindy.evaluation.summary import to_text
     from dynasindy.evaluation.tracking_criteria import WITHIN, judge_control, judge_tracking
     from dynasindy.progress import say, width
     from dynasindy.safe_io import output_folder
@@ -37,12 +37,12 @@ def main(cfg: Any) -> None:
     system = env.system if env.system.known else SindyModel.load(folder / "model.json")
     for scenario in [load_scenario(each, config, env) for each in cfg.scenarios]:  # a wrong one before the first
         result = evaluate(env, policy, scenario, sensing)
-        save_evaluation(result, out)
+        result.save(out)
         draw_evaluation(result, out, name, cfg.formats)
         if cfg.animate:
             animate(result, out / f"{scenario.name}.gif")
-        table = to_text(summarise(result), result.title, result.state_units, result.told_steady_seconds, width())
-        say(table, *lines(beyond_targets(result)), "")
+        table = to_text(result.summary(), result.title, result.state_units, result.told_steady_seconds, width())
+        say(table, *lines(result.beyond_targets), "")
         matter = states_that_matter(system, result.columns, result.trajectory["state"][0, 0])
         rerun = partial(evaluate, env, policy, scenario, sensing) if env.system.known else None
         _, verdict = judge_control([judge_tracking(result, matter, rerun)], within)

@@ -25,13 +25,12 @@ from dynasindy.dyna.excite import excitation_findings
 from dynasindy.dyna.experiment import Components
 from dynasindy.envs.rollout_data import transitions
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.evaluation.summary import Summary, beyond_targets, column_headings, summarise
+from dynasindy.evaluation.summary import Summary, column_headings
 from dynasindy.evaluation.tracking_criteria import (
     WITHIN,
     TrackingCriteria,
     judge_control,
     judge_tracking,
-    representative_episode,
 )
 from dynasindy.findings import Finding, note, records, weak, wrong
 from dynasindy.progress import report_progress
@@ -109,7 +108,7 @@ class Recorder(Callback):
     def begin(self) -> None:
         """Evaluate the untrained policy."""
         self._open_log()
-        self.untrained = self.latest = summarise(self.evaluate("untrained policy, for comparison"))
+        self.untrained = self.latest = self.evaluate("untrained policy, for comparison").summary()
 
     def evaluate(self, phase: str = "", seconds: float | None = None) -> Evaluation:
         """Run the deployed policy, without noise, in the scenario; its steps are counted apart from the real ones.
@@ -145,7 +144,7 @@ class Recorder(Callback):
         last = episode.number == self.episodes
         due = last or episode.number % self.evaluating.every == 0
         if due:
-            self.latest = summarise(self.evaluate())
+            self.latest = self.evaluate().summary()
         following, error = episode.rollout["next"], episode.error
         row: dict[str, float | None] = {
             "episode": episode.number,
@@ -203,7 +202,7 @@ class Recorder(Callback):
             What `metrics.json` holds; it is written last, so that a run that has it has ended.
         """
         final = self.evaluate()
-        episode, words = representative_episode(final)
+        episode, words = final.representative_episode
         self._write_rollout("step_response", final.trajectory[episode], last=True)
         plant, model, sensing = self.plant, self.parts.world_model, self.parts.sensing
         observer = None if sensing is None else sensing.observer
@@ -223,7 +222,7 @@ class Recorder(Callback):
             "episodes": len(self.rows),
             "cost": self._spent() | {"evaluation_steps": self.evaluation_steps},
             "scenario": final.scenario,
-            "evaluation": summarise(final),
+            "evaluation": final.summary(),
             "held": held,
             "units": final.units,
             "state_units": final.state_units,
@@ -249,7 +248,7 @@ class Recorder(Callback):
             shares = (missed.norm(dim=0) / (data.x_next - data.x).norm(dim=0).clamp_min(1e-300)).tolist()
             large = {n: s for n, s in zip(model.signature.state_names, shares, strict=True) if not s <= UNEXPLAINED}
             unexplained = [weak("model.unexplained", shares=large)] if large else []
-        findings = [*beyond_targets(final), *unexplained, *([] if gate is None else [gate]), *verdict.findings]
+        findings = [*final.beyond_targets, *unexplained, *([] if gate is None else [gate]), *verdict.findings]
         metrics["verdict"] = {"usable": verdict.usable, "controlled": verdict.controlled}
         metrics["findings"] = [*self.excitation, *records(findings)]
         write_json(self.folder / "metrics.json", metrics)

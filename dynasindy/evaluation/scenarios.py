@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 
 import torch
 from tensordict import TensorDictBase
@@ -21,10 +22,12 @@ from dynasindy.agents.replay import require_finite_rollout
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise
-from dynasindy.evaluation.metrics import steady_seconds, tracking_metrics
+from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, steady_seconds, tracking_metrics
+from dynasindy.evaluation.summary import Summary, column_headings
+from dynasindy.findings import Finding, note, weak
 from dynasindy.limits import Count, check_memory, raise_if_memory
 from dynasindy.progress import report_progress
-from dynasindy.safe_io import file_name
+from dynasindy.safe_io import file_name, write_csv, write_json
 from dynasindy.sensing import Sensing
 from dynasindy.systems import Signature, System
 from dynasindy.systems.base import turn_of
@@ -35,6 +38,13 @@ Policy = Callable[[TensorDictBase], TensorDictBase]
 """Reads `observation` (or `state` and `reference`) of a tensordict and writes `action`."""
 PolicyWrapper = Callable[[Policy, ControlEnv], Policy]
 Window = tuple[float, float]
+RESTLESS = 0.02
+"""Mean change of an input from one control period to the next, in the steady state, beyond which it is told [its range
+from -1 to 1 counts as 2]."""
+ROUNDING = 1e-4
+"""What a reference may lie beyond its ends by, as float32 rounds it [ranges of the targets]."""
+SINGLE = 1e-6
+"""The same as a share of the ends themselves, where the range is none or small."""
 
 
 @dataclass(frozen=True)
@@ -215,6 +225,112 @@ class Evaluation:
         """Names of the tracked states."""
         return tuple(self.signature.state_names[i] for i in self.columns)
 
+    @property
+    def representative_episode(self) -> tuple[int, str]:
+        """The episode to be drawn, by nothing that a controller does: figures of several show the same one.
+
+        Its row in the evaluation stands beside which it is, why this one, and how many did better; the only one has no
+        such words.
+
+        Where all episodes begin in one state it is the first one of the scenario. Where they do not, it is the one that
+        begins farthest from its reference, in target ranges, as a pendulum that hangs and is to stand; of a task
+        without references, the one that earns least in its first period.
+        """
+        number, tracked = len(self.inputs), bool(self.columns)
+        if number == 1:
+            return 0, ""
+        starts = self.trajectory["state"][:, 0]
+        row, why = 0, ""
+        if bool((starts != starts[0]).any()) and tracked:
+            row, why = int(self.errors[:, 0].amax(-1).argmax()), ", which starts farthest from its target"
+        elif bool((starts != starts[0]).any()):
+            first = self.trajectory["next", "reward"][:, 0].flatten()
+            row, why = int(first.argmin()), ", which starts where least is earned"
+        costs = self.errors.mean(1).amax(-1) if tracked else -self.returns
+        better = int((costs < costs[row]).sum())
+        others = f"{better} others {'have a smaller error' if tracked else 'earn more'}"
+        return row, f"episode {row + 1} of {number}{why}; {others}"
+
+    @property
+    def beyond_targets(self) -> list[Finding]:
+        """Which references lie beyond the ends of the targets that were given for the plant."""
+        findings = []
+        for i, (low, high) in enumerate(self.ends):
+            name, unit = self.output_names[i], self.units[self.output_names[i]]
+            asked = self.references[..., i]
+            least, most = float(asked.min()), float(asked.max())
+            room = max(ROUNDING * (high - low), SINGLE * max(abs(low), abs(high)))
+            if least < low - room or most > high + room:
+                facts = {"output": name, "scenario": self.scenario, "unit": unit, "least": least, "most": most}
+                findings.append(note("control.beyond_targets", **facts, low=low, high=high))
+        return findings
+
+    @property
+    def restless(self) -> list[Finding]:
+        """Which inputs go on moving while all targets rest: a plant is held, and a valve wears out."""
+        if not bool(self.resting.all()):
+            return []
+        changes = self.inputs[:, -self.steady_periods :].double().diff(dim=1).abs().mean((0, 1)).tolist()
+        return [
+            weak("control.restless", input=name, percent=50 * change)
+            for name, change in zip(self.signature.input_names, changes, strict=True)
+            if change > RESTLESS
+        ]
+
+    def summary(self) -> Summary:
+        """Return flat, JSON-ready figures: `return`, `stop_share` and `<metric>/<axis or input>`.
+
+        `own_return` is what a Gymnasium environment itself pays; other plants have none.
+
+        Errors and control figures are means over the rows. Overshoot and times are medians over the rows that are
+        steps, because one step that never settles has an infinite time; a median that is infinite, or that no row
+        defines, is None. `settled/<axis>` is the share of steps that settle, `steps/<axis>` how many rows are steps.
+        `least/<state>` and `most/<state>` are the ends between which a state that is not tracked moves.
+        """
+        figures: Summary = {
+            "return": _number(self.returns.mean()),
+            "stop_share": _number(self.trajectory["next", "at_stop"].float().mean()),
+        }
+        if (own := self.trajectory["next"].get("own_reward", None)) is not None:
+            figures["own_return"] = _number(own.sum((-1, -2)).mean())
+        for i, axis in enumerate(self.output_names):
+            for name in TRACKING:
+                figures[f"{name}/{axis}"] = _number(self.metrics[name][:, i].mean())
+            for name in STEP:
+                figures[f"{name}/{axis}"] = _number(self.metrics[name][:, i].nanquantile(0.5))
+            times = self.metrics["settling_time"][:, i]
+            steps = times[~times.isnan()]
+            figures[f"settled/{axis}"] = _number(steps.isfinite().float().mean())
+            figures[f"steps/{axis}"] = float(len(steps))
+        for i in self.state_order[len(self.columns) :]:
+            name, ends = self.signature.state_names[i], self.trajectory["state"][..., i].aminmax()
+            figures |= {f"least/{name}": _number(ends[0]), f"most/{name}": _number(ends[1])}
+        for i, name in enumerate(self.signature.input_names):
+            for metric in CONTROL:
+                figures[f"{metric}/{name}"] = _number(self.metrics[metric][:, i].mean())
+        return figures
+
+    def save(self, folder: Path) -> list[Path]:
+        """Write `<scenario>.json` (the summary) and `<scenario>.csv` (the episode that is drawn).
+
+        Args:
+            folder: Where; made if missing.
+
+        Returns:
+            The files.
+        """
+        figures, table = (folder / f"{self.scenario}.{suffix}" for suffix in ("json", "csv"))
+        row, _ = self.representative_episode
+        record = {"scenario": self.scenario, "rows": len(self.outputs), **self.summary()}
+        write_json(figures, record)
+        signature = self.signature
+        header = [*signature.state_names, *signature.input_names]
+        header += [f"reference_{name}" for name in self.output_names]
+        parts = (self.trajectory["state"], self.inputs, self.references)
+        values = torch.cat([self.time.unsqueeze(-1), *(part[row] for part in parts)], -1)
+        write_csv(table, column_headings(["time", *header], signature), values.tolist())
+        return [figures, table]
+
 
 def step_references(low: Sequence[float], high: Sequence[float], number: Count = 64, seed: int = 0) -> Step:
     """Return `number` fixed step references that fill a target range evenly (scrambled Sobol points).
@@ -372,3 +488,7 @@ def _with_true_states(trajectory: TensorDictBase) -> TensorDictBase:
     for key in ("state", "reward"):
         shown["next", key] = shown["next", f"true_{key}"]
     return shown
+
+
+def _number(value: Tensor) -> float | None:
+    return value.item() if torch.isfinite(value) else None

@@ -1,31 +1,16 @@
-"""An evaluation in a few numbers: a dictionary for `metrics.json` and a table to read."""
+"""An evaluation in a few numbers, as a table to read, and the headings of tables over time."""
 
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-
-import torch
-from torch import Tensor
 
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, UNITS
-from dynasindy.evaluation.scenarios import Evaluation
-from dynasindy.evaluation.tracking_criteria import representative_episode
-from dynasindy.findings import Finding, note, weak
-from dynasindy.safe_io import write_csv, write_json
 from dynasindy.systems import Signature
 from dynasindy.text import SECONDS, duration_unit, format_duration
 
 Summary = dict[str, float | None]
 
-RESTLESS = 0.02
-"""Mean change of an input from one control period to the next, in the steady state, beyond which it is told [its range
-from -1 to 1 counts as 2]."""
-ROUNDING = 1e-4
-"""What a reference may lie beyond its ends by, as float32 rounds it [ranges of the targets]."""
 MOST = 12
 """States that are not tracked which a table has."""
-SINGLE = 1e-6
-"""The same as a share of the ends themselves, where the range is none or small."""
 WORDS = {
     "rmse": "RMSE",
     "mean_abs_error": "mean abs error",
@@ -38,66 +23,6 @@ WORDS = {
     "control_effort": "control effort (mean u^2)",
     "control_variation": "control variation",
 }
-
-
-def summarise(evaluation: Evaluation) -> Summary:
-    """Return flat, JSON-ready figures: `return`, `stop_share` and `<metric>/<axis or input>`.
-
-    `own_return` is what a Gymnasium environment itself pays; other plants have none.
-
-    Errors and control figures are means over the rows. Overshoot and times are medians over the rows that are
-    steps, because one step that never settles has an infinite time; a median that is infinite, or that no row
-    defines, is None. `settled/<axis>` is the share of steps that settle, `steps/<axis>` how many rows are steps.
-    `least/<state>` and `most/<state>` are the ends between which a state that is not tracked moves.
-    """
-    summary: Summary = {
-        "return": _number(evaluation.returns.mean()),
-        "stop_share": _number(evaluation.trajectory["next", "at_stop"].float().mean()),
-    }
-    if (own := evaluation.trajectory["next"].get("own_reward", None)) is not None:
-        summary["own_return"] = _number(own.sum((-1, -2)).mean())
-    for i, axis in enumerate(evaluation.output_names):
-        for name in TRACKING:
-            summary[f"{name}/{axis}"] = _number(evaluation.metrics[name][:, i].mean())
-        for name in STEP:
-            summary[f"{name}/{axis}"] = _number(evaluation.metrics[name][:, i].nanquantile(0.5))
-        times = evaluation.metrics["settling_time"][:, i]
-        steps = times[~times.isnan()]
-        summary[f"settled/{axis}"] = _number(steps.isfinite().float().mean())
-        summary[f"steps/{axis}"] = float(len(steps))
-    for i in evaluation.state_order[len(evaluation.columns) :]:
-        name, ends = evaluation.signature.state_names[i], evaluation.trajectory["state"][..., i].aminmax()
-        summary |= {f"least/{name}": _number(ends[0]), f"most/{name}": _number(ends[1])}
-    for i, name in enumerate(evaluation.signature.input_names):
-        for metric in CONTROL:
-            summary[f"{metric}/{name}"] = _number(evaluation.metrics[metric][:, i].mean())
-    return summary
-
-
-def restless(evaluation: Evaluation) -> list[Finding]:
-    """Return which inputs go on moving while all targets rest: a plant is held, and a valve wears out."""
-    if not bool(evaluation.resting.all()):
-        return []
-    changes = evaluation.inputs[:, -evaluation.steady_periods :].double().diff(dim=1).abs().mean((0, 1)).tolist()
-    return [
-        weak("control.restless", input=name, percent=50 * change)
-        for name, change in zip(evaluation.signature.input_names, changes, strict=True)
-        if change > RESTLESS
-    ]
-
-
-def beyond_targets(evaluation: Evaluation) -> list[Finding]:
-    """Return which references lie beyond the ends of the targets that were given for the plant."""
-    findings = []
-    for i, (low, high) in enumerate(evaluation.ends):
-        name, unit = evaluation.output_names[i], evaluation.units[evaluation.output_names[i]]
-        asked = evaluation.references[..., i]
-        least, most = float(asked.min()), float(asked.max())
-        room = max(ROUNDING * (high - low), SINGLE * max(abs(low), abs(high)))
-        if least < low - room or most > high + room:
-            facts = {"output": name, "scenario": evaluation.scenario, "unit": unit, "least": least, "most": most}
-            findings.append(note("control.beyond_targets", **facts, low=low, high=high))
-    return findings
 
 
 def to_text(
@@ -167,33 +92,6 @@ def _columns(summary: Mapping[str, float | None], metric: str) -> list[str]:
 
 def _cell(value: float | None, factor: float = 1.0, missing: str = "-") -> str:
     return missing if value is None else f"{factor * value:.4g}"
-
-
-def _number(value: Tensor) -> float | None:
-    return value.item() if torch.isfinite(value) else None
-
-
-def save_evaluation(evaluation: Evaluation, folder: Path) -> list[Path]:
-    """Write `<scenario>.json` (the summary) and `<scenario>.csv` (the episode that is drawn).
-
-    Args:
-        evaluation: What to write.
-        folder: Where; made if missing.
-
-    Returns:
-        The files.
-    """
-    figures, table = (folder / f"{evaluation.scenario}.{suffix}" for suffix in ("json", "csv"))
-    row, _ = representative_episode(evaluation)
-    record = {"scenario": evaluation.scenario, "rows": len(evaluation.outputs), **summarise(evaluation)}
-    write_json(figures, record)
-    signature = evaluation.signature
-    header = [*signature.state_names, *signature.input_names]
-    header += [f"reference_{name}" for name in evaluation.output_names]
-    parts = (evaluation.trajectory["state"], evaluation.inputs, evaluation.references)
-    values = torch.cat([evaluation.time.unsqueeze(-1), *(part[row] for part in parts)], -1)
-    write_csv(table, column_headings(["time", *header], signature), values.tolist())
-    return [figures, table]
 
 
 def column_headings(names: Sequence[str], signature: Signature) -> list[str]:

@@ -197,29 +197,3 @@ def _decaying(evaluation: Evaluation, longer: Evaluation) -> set[int]:
 def _named(evaluation: Evaluation, values: Tensor) -> dict[str, float | None]:
     finite = [value if value < float("inf") else None for value in values.tolist()]
     return dict(zip(evaluation.output_names, finite, strict=True))
-
-
-def representative_episode(evaluation: Evaluation) -> tuple[int, str]:
-    """Choose the episode to be drawn, by nothing that a controller does: figures of several show the same one.
-
-    Its row in the evaluation stands beside which it is, why this one, and how many did better; the only one has no
-    such words.
-
-    Where all episodes begin in one state it is the first one of the scenario. Where they do not, it is the one that
-    begins farthest from its reference, in target ranges, as a pendulum that hangs and is to stand; of a task
-    without references, the one that earns least in its first period.
-    """
-    number, tracked = len(evaluation.inputs), bool(evaluation.columns)
-    if number == 1:
-        return 0, ""
-    starts = evaluation.trajectory["state"][:, 0]
-    row, why = 0, ""
-    if bool((starts != starts[0]).any()) and tracked:
-        row, why = int(evaluation.errors[:, 0].amax(-1).argmax()), ", which starts farthest from its target"
-    elif bool((starts != starts[0]).any()):
-        first = evaluation.trajectory["next", "reward"][:, 0].flatten()
-        row, why = int(first.argmin()), ", which starts where least is earned"
-    costs = evaluation.errors.mean(1).amax(-1) if tracked else -evaluation.returns
-    better = int((costs < costs[row]).sum())
-    others = f"{better} others {'have a smaller error' if tracked else 'earn more'}"
-    return row, f"episode {row + 1} of {number}{why}; {others}"

@@ -14,7 +14,6 @@ from PIL import Image
 
 from dynasindy.envs.drawing import HEIGHT, Frame, draw
 from dynasindy.evaluation.scenarios import Evaluation
-from dynasindy.evaluation.tracking_criteria import representative_episode
 from dynasindy.progress import track
 from dynasindy.safe_io import replace_file
 from dynasindy.text import duration_unit
@@ -87,7 +86,7 @@ def animate(evaluation: Evaluation, path: Path, seconds: float = 10.0) -> Path:
     dt = float(evaluation.time[1] - evaluation.time[0])
     speed = max(1, math.ceil(len(evaluation.time) * dt / seconds - 1e-6))
     every = max(1, round(speed / (RATE * dt)))
-    row, _ = representative_episode(evaluation)
+    row, _ = evaluation.representative_episode
     pictures = track("animation", _frames(evaluation, row, every), math.ceil(len(evaluation.time) / every), "pictures")
     # 64 colours without dithering keep the file small; the octree keeps thin lines, which the default turns grey.
     octree, plain = Image.Quantize.FASTOCTREE, Image.Dither.NONE

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.metrics import SETTLING_BAND, steady_seconds
 from dynasindy.evaluation.scenarios import Evaluation
-from dynasindy.evaluation.tracking_criteria import representative_episode
 from dynasindy.systems import Signature
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.text import format_duration
@@ -161,7 +160,7 @@ def draw_evaluation(
     Returns:
         The files.
     """
-    row, words = representative_episode(evaluation)
+    row, words = evaluation.representative_episode
     name, signature = evaluation.scenario, evaluation.signature
     disturbed = (each.removeprefix(f"{name}: ") for each in evaluation.disturbances)  # which the name says already
     scenario = "; ".join([f"Scenario '{name}'{place and f' {place}'}", *disturbed])

@@ -10,7 +10,7 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
-from dynasindy.evaluation.summary import summarise, to_text
+from dynasindy.evaluation.summary import to_text
 from dynasindy.evaluation.tracking_criteria import judge_tracking
 from dynasindy.systems import Diverged, Pendulum, Signature, System, Tras, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
@@ -188,7 +188,7 @@ def test_figures_of_a_run_are_those_of_its_trajectory() -> None:
     at_stop = torch.zeros(2, 15, 1, dtype=torch.bool)
     at_stop[1, :3] = True
     result.trajectory["next", "at_stop"] = at_stop
-    assert summarise(result)["stop_share"] == pytest.approx(0.1)  # one of two episodes, for a fifth of it
+    assert result.summary()["stop_share"] == pytest.approx(0.1)  # one of two episodes, for a fifth of it
 
 
 def test_without_a_length_a_run_is_an_episode_of_the_task() -> None:
@@ -214,7 +214,7 @@ def test_a_task_without_references_is_run_as_it_draws_its_episodes(settle) -> No
     assert len(starts.unique(dim=0)) == 5 and bool((starts.abs() <= torch.tensor([0.5, 1.5])).all())
     paid = -x[..., 0].square() - (x[..., 1] / 3.0).square() - 0.5 * 0.2**2
     torch.testing.assert_close(result.returns, paid.sum(-1), rtol=1e-4, atol=0)
-    table = to_text(summarise(result), result.title)
+    table = to_text(result.summary(), result.title)
     assert "'task' (5 episodes, 2 s)" in table
     assert "control effort" in table and "error" not in table
     with pytest.raises(TypeError, match="scenario=task"):

@@ -15,8 +15,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import DelayedActuator, PerturbedPlant
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, tracking_metrics
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.evaluation.summary import beyond_targets, restless, save_evaluation, summarise, to_text
-from dynasindy.evaluation.tracking_criteria import representative_episode
+from dynasindy.evaluation.summary import to_text
 from dynasindy.findings import weak
 from dynasindy.systems import Pendulum, Signature, Xi
 from dynasindy.tasks import Step, Tracking, TrackingReward, Wave, wave
@@ -33,7 +32,7 @@ def evaluation(**changes: torch.Tensor) -> Evaluation:
 
 
 def test_means_of_errors_and_medians_of_times() -> None:
-    summary = summarise(evaluation())
+    summary = evaluation().summary()
     assert summary["return"] == pytest.approx(2.0)
     assert summary["stop_share"] == pytest.approx(1 / 3)
     assert summary["rmse/alpha_p"] == pytest.approx(0.5)
@@ -50,14 +49,14 @@ def test_an_input_that_swings_while_a_target_is_held_is_told() -> None:
     signature = Signature(("a",), ("rad",), ("u", "v"), (1.0,))
     trajectory = TensorDict({"action": action, "reference": torch.zeros(2, 100, 1)}, [2, 100])
     found = Evaluation("made up", signature, (0,), 0.05 * torch.arange(100), trajectory, {})
-    assert restless(found) == [weak("control.restless", input="u", percent=pytest.approx(2.5))]
+    assert found.restless == [weak("control.restless", input="u", percent=pytest.approx(2.5))]
     trajectory["reference"][:, -1] = 1.0
-    assert restless(found) == []
+    assert found.restless == []
 
 
 def test_steps_that_never_settle_count_and_rows_without_a_step_do_not() -> None:
     times = torch.tensor([[math.inf, math.nan], [math.inf, math.nan], [2.0, 3.0]])
-    summary = summarise(evaluation(settling_time=times))
+    summary = evaluation(settling_time=times).summary()
     assert summary["settling_time/alpha_a"] is None
     assert summary["settled/alpha_a"] == pytest.approx(1 / 3)
     assert summary["settling_time/alpha_p"] == pytest.approx(3.0)
@@ -67,7 +66,7 @@ def test_steps_that_never_settle_count_and_rows_without_a_step_do_not() -> None:
 
 def test_the_table_names_every_metric_with_its_unit() -> None:
     undefined = torch.full((3, 2), math.nan)
-    text = to_text(summarise(evaluation(overshoot=undefined)), "Step")
+    text = to_text(evaluation(overshoot=undefined).summary(), "Step")
     lines = text.splitlines()
     assert lines[0] == "Step"
     row = next(line for line in lines if line.startswith("steady-state error"))
@@ -98,7 +97,7 @@ def test_only_what_rests_has_a_steady_state_to_read(signal, kept):
     following = TensorDict({"reward": torch.zeros(1, 252, 1), "at_stop": torch.zeros(1, 252, 1)}, [1, 252])
     trajectory = TensorDict({"state": y, "reference": r, "next": following}, [1, 252])
     made = Evaluation("made up", Signature(("h",), ("m",), ("u",), (1.0,)), (0,), time, trajectory, metrics)
-    summary = summarise(made)
+    summary = made.summary()
     text = to_text(summary, units=made.units, steady=made.told_steady_seconds)
     assert summary["steady_state_error/h"] is not None and "mean abs error [m]" in text
     assert ("steady-state error" in text) == kept
@@ -132,17 +131,17 @@ def test_references_beyond_the_targets_of_the_plant_are_told_and_others_are_not(
         return td.set("action", torch.zeros(*td.batch_size, 1))
 
     own = Wave([0.35], [1.0], "square")
-    (told,) = beyond_targets(evaluate(env, still, Scenario("square", own, seconds=2.0)))
+    (told,) = evaluate(env, still, Scenario("square", own, seconds=2.0)).beyond_targets
     assert (told.code, told.values["output"], told.values["scenario"]) == ("control.beyond_targets", "theta", "square")
     ends = [told.values[name] for name in ("least", "most", "low", "high")]
     assert ends == pytest.approx([-0.35, 0.35, -0.3, 0.4])
     derived = wave("square", [-0.3], [0.4], 20, 0.05)
-    assert beyond_targets(evaluate(env, still, Scenario("square", derived, seconds=2.0))) == []
-    assert beyond_targets(evaluate(env, still, Scenario("step", Step([[0.4], [-0.3]]), 2, 1.0))) == []
+    assert evaluate(env, still, Scenario("square", derived, seconds=2.0)).beyond_targets == []
+    assert evaluate(env, still, Scenario("step", Step([[0.4], [-0.3]]), 2, 1.0)).beyond_targets == []
     upright = Tracking(
         system.signature, Step([[math.pi]]), ["theta"], ["Omega"], TrackingReward((4.0,)), low=[math.pi], high=[math.pi]
     )
-    assert beyond_targets(evaluate(ControlEnv(system, upright), still, Scenario("step", seconds=1.0))) == []
+    assert evaluate(ControlEnv(system, upright), still, Scenario("step", seconds=1.0)).beyond_targets == []
 
 
 def test_json_holds_the_summary_and_csv_one_row(tmp_path: Path) -> None:
@@ -150,12 +149,12 @@ def test_json_holds_the_summary_and_csv_one_row(tmp_path: Path) -> None:
     env = ControlEnv(system, Tracking(system.signature, Step([[0.1, 0.2], [0.3, -0.1]])), substeps=1)
     scenario = Scenario("two", episodes=2, seconds=0.5)
     result = evaluate(env, lambda td: td.set("action", torch.full((*td.batch_size, 2), 0.25)), scenario)
-    figures, table = save_evaluation(result, tmp_path / "new")
-    episode, _ = representative_episode(result)
+    figures, table = result.save(tmp_path / "new")
+    episode, _ = result.representative_episode
 
     record = json.loads(figures.read_text())
     assert (record.pop("scenario"), record.pop("rows")) == ("two", 2)
-    assert record == summarise(result)
+    assert record == result.summary()
     rates = result.trajectory["state"][..., 2:].flatten(0, -2)
     ends = [[record[f"{end}/{name}"] for name in system.signature.state_names[2:]] for end in ("least", "most")]
     assert np.array(ends) == pytest.approx(np.array([rates.min(0).values, rates.max(0).values]))

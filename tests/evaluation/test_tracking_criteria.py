@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 
 from dynasindy.evaluation.scenarios import Evaluation
-from dynasindy.evaluation.tracking_criteria import judge_control, judge_tracking, representative_episode
+from dynasindy.evaluation.tracking_criteria import judge_control, judge_tracking
 from dynasindy.systems import Diverged, Signature
 
 SIGNATURE = Signature(("p", "theta", "way"), ("m", "rad", "m"), ("u",), (1.0, 0.5, 10.0))
@@ -188,7 +188,7 @@ def flights(starts, references, boxes=(), columns=(0, 1), rewards=None) -> Evalu
 
 
 def test_where_all_begin_alike_it_is_the_first_whatever_came_of_it() -> None:
-    row, words = representative_episode(flights([[0.0, 0.0]] * 4, [[0.5, 0.0], [0.1, 0.0], [0.9, 0.0], [0.2, 0.3]]))
+    row, words = flights([[0.0, 0.0]] * 4, [[0.5, 0.0], [0.1, 0.0], [0.9, 0.0], [0.2, 0.3]]).representative_episode
     assert row == 0
     # 0.1 and 0.3, the larger one of 0.2 and 0.3, are less than 0.5.
     assert "episode 1 of 4;" in words and "2 others" in words
@@ -196,18 +196,17 @@ def test_where_all_begin_alike_it_is_the_first_whatever_came_of_it() -> None:
 
 @pytest.mark.parametrize(("boxes", "row"), [((), 2), ((1.0, 10.0), 1)])
 def test_of_different_beginnings_it_is_the_farthest_in_boxes(boxes, row) -> None:
-    found, words = representative_episode(flights([[0.1, 0.1], [-0.6, 0.0], [0.0, 3.0]], [[0.0, 0.0]] * 3, boxes))
+    found, words = flights([[0.1, 0.1], [-0.6, 0.0], [0.0, 3.0]], [[0.0, 0.0]] * 3, boxes).representative_episode
     assert found == row
     assert words.startswith(f"episode {row + 1} of 3, ")
 
 
 def test_without_references_it_is_the_one_that_earns_least_at_first() -> None:
     rewards = [[-1.0, 0.0, 0.0], [-5.0, 4.0, 4.0], [-2.0, 0.0, 0.0]]
-    row, words = representative_episode(
-        flights([[0.0, 1.0], [1.0, 0.0], [2.0, 0.0]], [[0.0]] * 3, columns=(), rewards=rewards)
-    )
+    found = flights([[0.0, 1.0], [1.0, 0.0], [2.0, 0.0]], [[0.0]] * 3, columns=(), rewards=rewards)
+    row, words = found.representative_episode
     assert (row, words.partition("; ")[2]) == (1, "0 others earn more")
 
 
 def test_of_a_single_episode_nothing_is_said() -> None:
-    assert representative_episode(flights([[0.0, 0.0]], [[0.5, 0.0]])) == (0, "")
+    assert flights([[0.0, 0.0]], [[0.5, 0.0]]).representative_episode == (0, "")
