@@ -41,12 +41,10 @@ def load_data(cfg: Any) -> Any:
     from hydra.utils import instantiate
     from omegaconf import OmegaConf
 
-    from dynasindy.identification.source import named_rates
-
     data, system = (instantiate(cfg[name], _convert_="all") for name in ("data", "system"))
     source = data.load(system, None if cfg.data.get("path") else instantiate(cfg.excitation, _convert_="all"))
     library = OmegaConf.to_object(cfg.world_model).get("library")
-    if source.logged and (rates := named_rates(library, source.signature)):
+    if source.logged and (rates := source.named_rates(library)):
         OmegaConf.update(cfg, "plant.known", rates, force_add=True)  # beside those that are known
         source = source.with_rates(rates)
     return source

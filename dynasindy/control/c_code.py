@@ -7,6 +7,8 @@ does not have left out. It allocates nothing and keeps everything that changes i
 from __future__ import annotations
 
 import ctypes
+import math
+import re
 import textwrap
 import timeit
 from collections.abc import Iterable, Sequence
@@ -22,23 +24,54 @@ from dynasindy.control.files import network, require_sparse
 from dynasindy.control.integral import IntegralAction
 from dynasindy.sensing.observer import FAR, LEAST, NUDGE, UNKNOWN
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.formulas import (
-    c_number,
-    comment,
-    formulas,
-    identifiers,
-    module_name,
-    number,
-    right_sides,
-    rows,
-    single,
-)
+from dynasindy.sindy.formulas import PLAIN, comment, formulas, number, right_sides
 from dynasindy.systems import Signature
 from dynasindy.systems.base import WHOLE
 from dynasindy.systems.compiler import load_library
 
+IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 
-def block(lines: Iterable[str]) -> str:
+
+def _module_name(name: str) -> str:
+    """Return a name that all names of a C file begin with.
+
+    Raises:
+        ValueError: It cannot begin one.
+    """
+    if not IDENTIFIER.fullmatch(name):
+        raise ValueError(
+            f"name is {name[:40]!r}; allowed are a letter, then letters, digits and '_', 31 at most: choose another"
+        )
+    return name
+
+
+def _identifiers(names: Iterable[str]) -> list[str]:
+    """Return one identifier per name, none twice; they are to follow a prefix, and may be a word of the language."""
+    found: list[str] = []
+    for name in names:
+        plain = re.sub(r"\W", "_", name.translate(PLAIN), flags=re.ASCII)
+        unique, count = plain, 1
+        while unique in found:
+            count += 1
+            unique = f"{plain}_{count}"
+        found.append(unique)
+    return found
+
+
+def _number(value: float) -> str:
+    """Return a number for C, which may be infinite."""
+    if not math.isinf(float(value)):
+        return number(value)
+    return "INFINITY" if value > 0 else "-INFINITY"
+
+
+def _floats(values: Array) -> str:
+    """Return numbers of single precision for C, exact to their last bits, in lines of a readable length."""
+    lines = textwrap.wrap(", ".join(f"{value:.8e}f" for value in values.tolist()), 100, break_on_hyphens=False)
+    return "\n".join(f"    {line}" for line in lines)
+
+
+def _block(lines: Iterable[str]) -> str:
     """Return lines of any words as lines within a comment of C."""
     wrapped = [
         part
@@ -64,9 +97,9 @@ def _templates(packages: tuple[str, ...]) -> jinja2.Environment:
         line_statement_prefix="@",
         keep_trailing_newline=True,
     )
-    found.filters |= {"number": number, "c_number": c_number, "comment": comment, "block": block}
+    found.filters |= {"number": number, "c_number": _number, "comment": comment, "block": _block}
     found.filters["numbers"] = lambda values: ", ".join(map(number, values))
-    found.filters["floats"] = lambda values: rows(map(single, values.tolist()))
+    found.filters["floats"] = _floats
     return found
 
 
@@ -104,7 +137,7 @@ def model_sources(model: SindyModel, name: str = "model") -> Sources:
     Raises:
         ValueError: The name is none.
     """
-    name, signature, found = module_name(name), model.signature, right_sides(model)
+    name, signature, found = _module_name(name), model.signature, right_sides(model)
     kind, result = ("dx/dt = f(x, u)", "dx") if model.step is None else ("x[k+1] = F(x[k], u[k])", "next")
     about = _signature_words(signature)
     if model.step is not None:
@@ -123,7 +156,7 @@ def _places(signature: Signature, name: str, outputs: Sequence[str] = ()) -> lis
     return [
         f"    {name}_{kind}_{word} = {place}"
         for kind, names in (("x", signature.state_names), ("u", signature.input_names), ("r", outputs))
-        for place, word in enumerate(identifiers(names))
+        for place, word in enumerate(_identifiers(names))
     ]
 
 
@@ -161,7 +194,7 @@ def controller_sources(controller: Controller, name: str = "controller") -> Sour
         ValueError: The name is none, the policy or the model is of another kind, or the model has a function without a
             formula, or so many states that a call would overflow the stack.
     """
-    name, signature, observer = module_name(name), controller.signature, controller.observer
+    name, signature, observer = _module_name(name), controller.signature, controller.observer
     task, integral = controller.setup.task, controller.integral
     weights = [(layer.weight.cpu(), layer.bias.cpu()) for layer in network(controller).layers()]
     targets, units = controller.targets_in_words(), dict(zip(signature.state_names, signature.state_units, strict=True))

@@ -120,7 +120,7 @@ def excite(parts: PlantComponents, pilot: RegulatedExcitation | None = None) -> 
         last = tries[-1]["next"][-1]
         # A state that is no number any more leaves no row: then the try is short, and the task has not ended it.
         short = done + len(tries[-1]) < steps and not bool(last["done"].any())
-        if short or not bool(within(last["state"], low, high)):
+        if short or not bool(_within(last["state"], low, high)):
             was_held = pilot.gain is not None
             pilot.close(torch.cat(tries), parts)
             # What is caught by now may be excited as before; what nothing holds has to be moved less.
@@ -173,7 +173,7 @@ def excitation_findings(parts: PlantComponents, rows: TensorDict) -> list[Findin
     return findings
 
 
-def within(x: Tensor, low: Tensor, high: Tensor) -> Tensor:
+def _within(x: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """Return whether states `(*batch, n_x)` lie within their limits, bool `(*batch,)`."""
     return ((x >= low) & (x <= high)).all(-1)
 
@@ -195,7 +195,7 @@ def _interact(
             x = rows[-1]["next", "state"]
             if not bool(x.isfinite().all()) and len(rows) > 1:
                 rows.pop()
-            if not bool(within(x, *ends)) or bool(rows[-1]["next", "done"].any()):
+            if not bool(_within(x, *ends)) or bool(rows[-1]["next", "done"].any()):
                 break
             now = env.step_mdp(rows[-1])
         return torch.stack(rows).contiguous()

@@ -15,7 +15,7 @@ from torch import Tensor
 from dynasindy.dyna.excite import RegulatedExcitation, excitation_findings, excite
 from dynasindy.dyna.experiment import PlantComponents
 from dynasindy.envs import ControlEnv
-from dynasindy.envs.rollout_data import disturb, observed, record_plant, transitions
+from dynasindy.envs.rollout_data import disturb, record_plant, transitions
 from dynasindy.excitation import Aprbs, Excitation
 from dynasindy.findings import Finding, note
 from dynasindy.identification.source import PERIOD, DataSource, Source
@@ -125,7 +125,7 @@ class Simulated(DataSource):
         training = disturb(training, self.noise, self.seed, system.signature)
         if self.sensors is not None:
             generator = torch.Generator().manual_seed(self.seed)
-            training = observed(training, partial(self.sensors.read, signature=system.signature, rng=generator))
+            training = training.observed(partial(self.sensors.read, signature=system.signature, rng=generator))
         exact = self.sensors is None and not self.noise
         return Source(system.signature, training, validation, tuple(findings), exact=exact)
 

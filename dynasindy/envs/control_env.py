@@ -23,7 +23,7 @@ from dynasindy.systems.integrators import plain
 from dynasindy.systems.ranges import require_start_within
 from dynasindy.systems.steps import split_delay, steps_of, time_step_of
 from dynasindy.tasks import Task, Tracking
-from dynasindy.tasks.machine import TrackingMachine, tracking_machine
+from dynasindy.tasks.machine import TrackingMachine
 
 FARTHEST = 1e4
 """Ranges of a state beyond which nothing is told of a plant: squares and exponents of such numbers soon overflow."""
@@ -277,7 +277,7 @@ class ControlEnv(EnvBase):
         shown = {"state": x, "task_params": params, "step_count": steps}
         if x.is_cpu and plain(x, params, steps, *(period or ())):  # else derivatives are asked of it
             if self._compiled_task is None or self._compiled_task[:2] != (self.task, x.dtype):
-                self._compiled_task = self.task, x.dtype, tracking_machine(self.task, self.dt, x.dtype)
+                self._compiled_task = self.task, x.dtype, TrackingMachine.of(self.task, self.dt, x.dtype)
             if (code := self._compiled_task[2]) is not None:
                 before, _, touched = period or (None, None, None)
                 return shown | code.judge(before, x, params, steps, touched)

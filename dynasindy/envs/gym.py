@@ -19,7 +19,7 @@ from dynasindy.envs.drawing import Frame, draw
 from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
 from dynasindy.systems.steps import steps_of
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
-from dynasindy.tasks.machine import tracking_machine
+from dynasindy.tasks.machine import TrackingMachine
 from dynasindy.text import duration_unit
 
 PLANTS: dict[str, Callable[[], System]] = {"tras": Tras, "xi": Xi, "trms33": Trms33}
@@ -96,7 +96,7 @@ def _compiled_step(
     """Return what advances one row, its state and count in `begun`, by two calls of machine code, if there is any."""
     x, params, steps = begun["state"], begun["task_params"].contiguous(), begun["step_count"]
     u = x.new_zeros(1, env.system.signature.n_u)
-    judge, code = tracking_machine(env.task, env.dt, x.dtype), env.system.compiled(x, u[0])
+    judge, code = TrackingMachine.of(env.task, env.dt, x.dtype), env.system.compiled(x, u[0])
     beaten = env.delay or math.isfinite(env.left_beyond)
     if type(env) is not ControlEnv or beaten or judge is None or code is None:
         return None

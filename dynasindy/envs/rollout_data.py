@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 
 import torch
 from tensordict import TensorDictBase
@@ -92,16 +91,4 @@ def disturb(
     if level == 0 or not bool(scale.any()):
         return data
     generator = torch.Generator().manual_seed(seed)
-    return observed(data, lambda x: x + scale * torch.randn(x.shape, generator=generator, dtype=x.dtype))
-
-
-def observed(data: Transitions, read: Callable[[Tensor], Tensor]) -> Transitions:
-    """Return a recording as sensors would have logged it; a state that two rows share is read once.
-
-    Args:
-        data: recording of the states as they were.
-        read: what is measured of states `(rows, n_x)`, of the same shape, NaN where nothing is; called for the states
-            after each row, then for those before it.
-    """
-    after, first = read(data.x_next), read(data.x)
-    return replace(data, x=torch.where(data.begins().unsqueeze(-1), first, after.roll(1, 0)), x_next=after)
+    return data.observed(lambda x: x + scale * torch.randn(x.shape, generator=generator, dtype=x.dtype))

@@ -34,14 +34,14 @@ from dynasindy.identification.forecast_errors import (
 )
 from dynasindy.identification.log_fit import LogFit, fit_log
 from dynasindy.identification.recording_diagnostics import low_signal_findings, low_signal_states
-from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source, named_rates, rates_of
+from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source, rates_of
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import checked, write_json, write_text
 from dynasindy.sentences import error_of, gravest_first, line, lines
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.delay import delay_inputs
-from dynasindy.sindy.equations import left_side, mapping
+from dynasindy.sindy.equations import mapping
 from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.sindy.shooting import choose_stretches
@@ -262,7 +262,7 @@ def identify(
     refinement = Refinement(method=method, longest_delay=longest_delay, seconds=seconds)
     regression = Regression("bic", tolerance=1e-4)
     build = partial(SindyModel, library=library, regression=regression, refinement=refinement, time=time)
-    if named := named_rates(library, log.signature):
+    if named := log.named_rates(library):
         known = {**named, **(known or {})}
     rates = dict(known or {})
     source = log.with_rates(rates)
@@ -371,7 +371,7 @@ def _coefficient_lines(model: SindyModel, known: Covariance) -> list[str]:
     # Of a difference equation it is that of the right side, whose coefficients are the step times those of the rates.
     library, table = mapping(model.library, model.coefficients)
     place = {feature.key: k for k, feature in enumerate(library.features)}
-    sides = [left_side(library, state) for state in library.signature.state_names]
+    sides = [library.left_side(state) for state in library.signature.state_names]
     errors = ((library.step or 1.0) * known.errors).tolist()
     each = zip(known.states.tolist(), known.features.tolist(), errors, strict=True)
     fitted = sorted((i, place[model.library.features[k].key], error) for i, k, error in each if error)
@@ -401,7 +401,7 @@ def _coefficient_tables(model: SindyModel) -> dict[str, str]:
     """Return the Xi table, a row for each function, as text of 5 and as CSV of all digits, by the endings of files."""
     library, coefficients = mapping(model.library, model.coefficients)
     states, units = library.signature.state_names, library.signature.state_units
-    left = [left_side(library, state) for state in states]
+    left = [library.left_side(state) for state in states]
     rates = [f"d({state})/dt [{unit}/s]" for state, unit in zip(states, units, strict=True)]
     steps = [f"{side} [{unit}]" for side, unit in zip(left, units, strict=True)]
     table = pd.DataFrame(coefficients.numpy(), library.names, left)

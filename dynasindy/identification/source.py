@@ -111,6 +111,16 @@ class Source:
         findings = (note("log.unmeasured", state=name) for name in added)
         return replace(found, signature=signature, findings=(*found.findings, *findings))
 
+    def named_rates(self, library: object) -> dict[str, str]:
+        """Return the rates that functions in words name and that are no states yet, by their states.
+
+        Args:
+            library: functions in words; anything else names none.
+        """
+        words = set(re.findall(r"\w+", " ".join(map(str, library)))) if isinstance(library, list | tuple) else set()
+        rates = {name: rate_name(name, self.signature) for name in self.signature.state_names}
+        return {name: rate for name, rate in rates.items() if rate in words}
+
     def without(self, names: Collection[str]) -> Source:
         """Return the data without some of their states, which are said to be left out."""
         if not names:
@@ -224,18 +234,6 @@ def _numbers(signature: Signature) -> NDArray[np.float64]:
     both = np.array(signature.input_ends or (WHOLE,) * signature.n_u)
     limits = np.array(signature.input_limits or (WHOLE,) * signature.n_u)
     return np.concatenate([both, signature.in_own_units(limits.T).T], -1)
-
-
-def named_rates(library: object, signature: Signature) -> dict[str, str]:
-    """Return the rates that functions in words name and that are no states yet, by their states.
-
-    Args:
-        library: Functions in words; anything else names none.
-        signature: Names of states and inputs.
-    """
-    words = set(re.findall(r"\w+", " ".join(map(str, library)))) if isinstance(library, list | tuple) else set()
-    rates = {name: rate_name(name, signature) for name in signature.state_names}
-    return {name: rate for name, rate in rates.items() if rate in words}
 
 
 def rate_name(name: str, signature: Signature) -> str:

@@ -65,6 +65,13 @@ class Wiring:
         """Names of the states that have a sensor."""
         return tuple(name for name, known in zip(self.signature.state_names, self.seen, strict=True) if known)
 
+    @property
+    def headings(self) -> list[str]:
+        """Headings of a log: time, the states that are measured, and the inputs, each with its unit."""
+        units = dict(zip(self.signature.state_names, self.signature.state_units, strict=True))
+        inputs = (f"{name} [-]" for name in self.signature.input_names)
+        return ["time [s]", *(f"{name} [{units[name]}]" for name in self.measured), *inputs]
+
 
 class Rig(Protocol):
     """A plant that is really there.

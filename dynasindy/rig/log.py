@@ -17,14 +17,6 @@ from dynasindy.rig.base import Array, Wiring
 from dynasindy.systems import Signature
 
 
-def log_headings(wiring: Wiring) -> list[str]:
-    """Return the headings of a log: time, the states that are measured, and the inputs, each with its unit."""
-    signature = wiring.signature
-    states = zip(signature.state_names, signature.state_units, wiring.seen, strict=True)
-    measured = [f"{name} [{unit}]" for name, unit, known in states if known]
-    return ["time [s]", *measured, *(f"{name} [-]" for name in signature.input_names)]
-
-
 class Log:
     """Write time, measured states and inputs; a state that no sensor sees has no column.
 
@@ -46,7 +38,7 @@ class Log:
         except FileExistsError as error:
             raise ValueError(f"{path} exists already; give another folder, so that no log is lost") from error
         self._writer = csv.writer(self._file)
-        self._writer.writerow(log_headings(wiring))
+        self._writer.writerow(wiring.headings)
 
     def add(self, t: float, y: Array, u: Array) -> None:
         """Write what was measured at a time and the inputs applied from then on; what is missing stays empty."""

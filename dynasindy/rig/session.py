@@ -26,7 +26,7 @@ from dynasindy.identification.source import Source, same_input_ranges
 from dynasindy.planning import GradientPlanning
 from dynasindy.rig.base import Array, Rig, RigClock, Wiring
 from dynasindy.rig.flight import ROUNDING, FlightResult, Guard, run_flight
-from dynasindy.rig.log import LAST, FlightRecord, log_headings, samples
+from dynasindy.rig.log import LAST, FlightRecord, samples
 from dynasindy.sentences import line
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.named_libraries import LibraryBuilder
@@ -192,7 +192,7 @@ class Session:
         for path in sorted(self.folder.glob(f"{kind}*.csv"), key=lambda path: (len(path.stem), path.stem)):
             with path.open(newline="", encoding="utf-8") as file:
                 first, *rows = list(csv.reader(file)) or [[]]
-            if first != (wanted := log_headings(self.wiring)):
+            if first != (wanted := self.wiring.headings):
                 raise ValueError(f"{path} has columns {', '.join(first)}, not {', '.join(wanted)}; give another folder")
             found[path] = len(rows)
         return found

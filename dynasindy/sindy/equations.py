@@ -50,7 +50,7 @@ def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[s
                 above, sign = above[1:], "-"
             joint = (" - " if sign else " + ") if written else sign
             written += f"{joint}{above} {quotient}"
-        lines.append(f"{left_side(library, state)} = {written or '0'}")
+        lines.append(f"{library.left_side(state)} = {written or '0'}")
     return lines
 
 
@@ -69,16 +69,6 @@ def _without_cancelling(terms: dict[Feature, float]) -> list[tuple[Feature, floa
                 terms |= {rest: 0.0, feature: within + outside}
                 terms[more] = terms.get(more, 0.0) + outside * factor.frequency
     return [*terms.items()]
-
-
-def left_side(library: Library, state: str) -> str:
-    """Return the left side of a state's equation: its rate, or its next value."""
-    return f"{state}'" if library.step is None else f"{state}[k+1]"
-
-
-def change_of(library: Library, state: str) -> str:
-    """Return what the coefficients of a state are those of: its rate, or its change in a step of the equation."""
-    return left_side(library, state) if library.step is None else f"the change of {state}"
 
 
 def mapping(library: Library, coefficients: Tensor) -> tuple[Library, Tensor]:
@@ -126,7 +116,7 @@ def require_finite(library: Library, coefficients: Tensor, source: str = "model"
     """
     if len(wrong := (~coefficients.isfinite()).nonzero()):
         k, i = wrong[0].tolist()
-        place = f"{library.names[k]} in {change_of(library, library.signature.state_names[i])}"
+        place = f"{library.names[k]} in {library.change_of(library.signature.state_names[i])}"
         raise Diverged(
             f"model learning: the {source} has {len(wrong)} coefficients that are not finite, such as "
             f"{coefficients[k, i].item()} of {place}; leave that function out of the library, or check the data's units"

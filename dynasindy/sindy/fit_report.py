@@ -11,7 +11,6 @@ from torch import Tensor
 from dynasindy.findings import Finding, note
 from dynasindy.sentences import line
 from dynasindy.sindy.covariance import Covariance
-from dynasindy.sindy.equations import change_of
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.regression import TriangularFactor
 
@@ -121,7 +120,7 @@ class FitReport:
             note(
                 "fit.standard_errors",
                 median=float(shares.median()),
-                least=f"{library.names[feature]} in {change_of(library, library.signature.state_names[state])}",
+                least=f"{library.names[feature]} in {library.change_of(library.signature.state_names[state])}",
                 worst=float(shares[worst]),
                 of_step=library.step is not None,
             )

@@ -1,53 +1,23 @@
-"""Names, numbers and equations of a model as parts of other languages.
+"""Words, numbers and equations of a model as parts of other languages.
 
 Equations are written by the code that writes them for torch, `dynasindy.sindy.codegen`: what terms share is computed
 once, operators are infix, and what is called are `FORMULA_FUNCTIONS` alone.
 
-Names of states and units come from files that anybody wrote: none of them can become code, or end a comment. An
-identifier is made of letters and digits alone, a comment holds neither end nor beginning of one, and a number is a
-number before it is written.
+Names of states and units come from files that anybody wrote: none of them can become code, or end a comment. A
+comment holds neither end nor beginning of one, and a number is a number before it is written.
 """
 
 from __future__ import annotations
 
 import math
 import re
-import textwrap
-from collections.abc import Iterable
 
 from dynasindy.sindy.codegen import Writer
 from dynasindy.sindy.equations import mapping
 from dynasindy.sindy.model import SindyModel
 from dynasindy.systems.machine import Program
 
-IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 PLAIN = str.maketrans({"°": "deg", "²": "^2", "³": "^3", "·": "*", "µ": "u"})
-
-
-def module_name(name: str) -> str:
-    """Return a name that all names of a C file begin with.
-
-    Raises:
-        ValueError: It cannot begin one.
-    """
-    if not IDENTIFIER.fullmatch(name):
-        raise ValueError(
-            f"name is {name[:40]!r}; allowed are a letter, then letters, digits and '_', 31 at most: choose another"
-        )
-    return name
-
-
-def identifiers(names: Iterable[str]) -> list[str]:
-    """Return one identifier per name, none twice; they are to follow a prefix, and may be a word of the language."""
-    found: list[str] = []
-    for name in names:
-        plain = re.sub(r"\W", "_", name.translate(PLAIN), flags=re.ASCII)
-        unique, count = plain, 1
-        while unique in found:
-            count += 1
-            unique = f"{plain}_{count}"
-        found.append(unique)
-    return found
 
 
 def comment(words: str) -> str:
@@ -67,24 +37,6 @@ def number(value: float) -> str:
     if not math.isfinite(float(value)):
         raise ValueError(f"{written} stands where a finite number belongs; restore the file, or make it again")
     return f"({written})" if written.startswith("-") else written
-
-
-def c_number(value: float) -> str:
-    """Return a number for C, which may be infinite."""
-    if not math.isinf(float(value)):
-        return number(value)
-    return "INFINITY" if value > 0 else "-INFINITY"
-
-
-def single(value: float) -> str:
-    """Return a number of single precision for C, exact to its last bit."""
-    return f"{value:.8e}f"
-
-
-def rows(written: Iterable[str], indent: str = "    ", width: int = 100) -> str:
-    """Return the elements of an array in lines of a readable length."""
-    lines = textwrap.wrap(", ".join(written), width, break_long_words=False, break_on_hyphens=False)
-    return "\n".join(indent + line for line in lines)
 
 
 def formulas(model: SindyModel) -> Program:

@@ -300,6 +300,14 @@ class Library:
         """Count the features."""
         return len(self.features)
 
+    def left_side(self, state: str) -> str:
+        """Return the left side of a state's equation: its rate, or its next value."""
+        return f"{state}'" if self.step is None else f"{state}[k+1]"
+
+    def change_of(self, state: str) -> str:
+        """Return what the coefficients of a state are those of: its rate, or its change in a step of the equation."""
+        return self.left_side(state) if self.step is None else f"the change of {state}"
+
     def subset(self, indices: Sequence[int]) -> Library:
         """Keep the features at the given positions."""
         return Library(self.signature, [self.features[i] for i in indices], step=self.step)

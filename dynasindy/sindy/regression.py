@@ -274,7 +274,7 @@ class Regression:
             support = support & (norms[: factor.n_features] > 0).unsqueeze(-1)
             found = rates * _eliminate(theta, targets / rates, support, factor.count, self.tolerance, self.dependent)
         else:
-            found = stlsq(theta, targets, support, self.threshold)
+            found = _stlsq(theta, targets, support, self.threshold)
         return offset + found / columns.unsqueeze(-1)
 
 
@@ -288,10 +288,10 @@ def least_squares(theta: Tensor, target: Tensor) -> Tensor:
 def fit_supported(theta: Tensor, dx: Tensor, support: Tensor) -> Tensor:
     """Return the least squares coefficients of rates `(N, n_x)` where `support` `(n_features, n_x)` is, else zero."""
     scale = theta.norm(dim=0).clamp_min(1e-300)
-    return stlsq(theta / scale, dx, support, 0.0) / scale.unsqueeze(-1)
+    return _stlsq(theta / scale, dx, support, 0.0) / scale.unsqueeze(-1)
 
 
-def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limit: float) -> Tensor:
+def _stlsq(theta: Tensor, targets: Tensor, support: Tensor, limit: float) -> Tensor:
     """Threshold and refit until the support stands still (Brunton, Proctor, Kutz 2016), ridge 0.
 
     Args:

@@ -26,10 +26,10 @@ def rates_at_start(system: System, begins: Callable[[torch.Size], Tensor]) -> li
     """
     n_x, n_u = system.signature.n_x, system.signature.n_u
     starts = [begins(torch.Size(shape)) for shape in ((n_x + n_u + 3,), (2, 3))]
-    return [rates(system, x, x.new_zeros(*x.shape[:-1], n_u)) for x in starts]
+    return [_rates(system, x, x.new_zeros(*x.shape[:-1], n_u)) for x in starts]
 
 
-def rates(system: System, x: Tensor, u: Tensor) -> Tensor:
+def _rates(system: System, x: Tensor, u: Tensor) -> Tensor:
     """Return the rates of change, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`.
 
     Raises:
@@ -75,8 +75,8 @@ def require_plant(system: System, begins: Callable[[torch.Size], Tensor], bounds
                     "where episodes begin; they have to be finite: mend the system or its constants"
                 )
         x, u = _places(system, begins(torch.Size((1,)))[0], bounds)
-        dx = rates(system, x, u)
-        turned = rates(system, x.flip(0), u.flip(0)).flip(0)
+        dx = _rates(system, x, u)
+        turned = _rates(system, x.flip(0), u.flip(0)).flip(0)
     apart, largest = (of.nan_to_num(0.0, 0.0, 0.0).abs().amax(0) for of in (dx - turned, dx))
     if not (torch.equal(dx.isfinite(), turned.isfinite()) and bool((apart <= APART * largest).all())):
         raise ValueError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -154,6 +154,16 @@ class Transitions:
         first = torch.ones_like(self.segment, dtype=torch.bool)
         first[1:] = self.segment[1:] != self.segment[:-1]
         return first
+
+    def observed(self, read: Callable[[Tensor], Tensor]) -> Transitions:
+        """Return a recording as sensors would have logged it; a state that two rows share is read once.
+
+        Args:
+            read: what is measured of states `(rows, n_x)`, of the same shape, NaN where nothing is; called for the
+                states after each row, then for those before it.
+        """
+        after, first = read(self.x_next), read(self.x)
+        return replace(self, x=torch.where(self.begins().unsqueeze(-1), first, after.roll(1, 0)), x_next=after)
 
     def segment_starts(self) -> Tensor:
         """Return the row at which the segment of each row begins, `(N,)`."""

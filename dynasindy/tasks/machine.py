@@ -50,9 +50,17 @@ class TrackingMachine:
         self._task = kind(*counts, *(ctypes.addressof(each) for each in self._held), *numbers)
         self._code, self.n_o, self.n_r = library, task.n_o, task.n_r
 
+    @classmethod
+    def of(cls, task: Task, dt: float, dtype: torch.dtype) -> TrackingMachine | None:
+        """Return the machine code of a task; None of another than `Tracking`, or without a compiler."""
+        if type(task) is not Tracking or type(task.reward_function) is not TrackingReward or task.fence:
+            return None
+        library = _library(dtype) if dtype in REALS else None
+        return None if library is None else cls(library, task, dt, dtype)
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Have copies and pickles make their own."""
-        return tracking_machine, self._made_of
+        return TrackingMachine.of, self._made_of
 
     def judge(
         self, x: Tensor | None, following: Tensor, params: Tensor, steps: Tensor, touched: Tensor | None
@@ -105,14 +113,6 @@ class TrackingMachine:
             code.judge(*arguments)
 
         return _judge
-
-
-def tracking_machine(task: Task, dt: float, dtype: torch.dtype) -> TrackingMachine | None:
-    """Return the machine code of a task; None of one that is more than `Tracking`, and where there is no compiler."""
-    if type(task) is not Tracking or type(task.reward_function) is not TrackingReward or task.fence:
-        return None
-    library = _library(dtype) if dtype in REALS else None
-    return None if library is None else TrackingMachine(library, task, dt, dtype)
 
 
 @cache

@@ -118,7 +118,7 @@ _Part = str | _Table | _Picture
 
 
 @dataclass(frozen=True)
-class Section:
+class _Section:
     """The parts of a section, and what was judged in each case of plant and experiment."""
 
     parts: list[_Part] = field(default_factory=list)
@@ -199,7 +199,7 @@ def build(results: Results, folder: Path) -> list[Path]:
         return [page, *save_figures({part.name: part.figure for part in pictures}, folder / "figures", ["svg"])]
 
 
-def _markdown(sections: Mapping[str, Section]) -> str:
+def _markdown(sections: Mapping[str, _Section]) -> str:
     """Return the page as Markdown, whose figures are `figures/NAME.svg`.
 
     What figures and tables come from stands once, in a numbered list at the end of the page.
@@ -229,13 +229,13 @@ def _markdown(sections: Mapping[str, Section]) -> str:
     return re.sub(r"\n{3,}", "\n\n", text.strip()) + "\n"
 
 
-def build_section(results: Results, name: str) -> Section:
+def build_section(results: Results, name: str) -> _Section:
     """Build a section from what is saved of each case; where something is missing, a line says so.
 
     Raises:
         DamagedFileError: What is saved is not what the section expects.
     """
-    section, (builder, cases) = Section(), SECTIONS[name]
+    section, (builder, cases) = _Section(), SECTIONS[name]
     for case in cases:
         with reading(f"what is saved of {' '.join(case)}"):
             try:
@@ -251,7 +251,7 @@ def _case(plant: str, experiment: str = "", *_: str) -> str:
     return f"{plant}, `{experiment}`"
 
 
-def _verdict(judged: Sequence[tuple[str, _Judgement]]) -> Section:
+def _verdict(judged: Sequence[tuple[str, _Judgement]]) -> _Section:
     """Count how many of the statements behind each claim hold."""
     rows = []
     for claim in CLAIMS:
@@ -266,7 +266,7 @@ def _verdict(judged: Sequence[tuple[str, _Judgement]]) -> Section:
     held = [one.verdict for _, one in judged].count(HOLDS)
     words = f"How many of the statements behind each claim hold; of {len(judged)} in all {held} do."
     header = ["what the paper claims, in our words", *(_case(*case) for case in CASES)]
-    return Section([words, _Table(header, rows)])
+    return _Section([words, _Table(header, rows)])
 
 
 def _training(results: Results, plant: str, experiment: str) -> _Made:

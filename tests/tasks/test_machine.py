@@ -11,7 +11,7 @@ import torch
 from dynasindy.systems import Signature
 from dynasindy.systems.compiler import compiler
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward, Wave
-from dynasindy.tasks.machine import tracking_machine
+from dynasindy.tasks.machine import TrackingMachine
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 SIGNATURE = Signature(("a", "b", "c", "d"), ("rad", "rad/s", "m", "m/s"), ("u",), (1.5, 4.0, 0.3, 7.0))
@@ -51,7 +51,7 @@ def test_observations_references_and_rewards_are_those_of_the_torch_code(trackin
     params = torch.stack([each.sample(torch.Size((40,)), random) for each in REFERENCES]).to(dtype)
     steps = torch.randint(0, 400, (3, 40, 1), generator=random)
     touched = torch.rand(3, 40, generator=random) < 0.5
-    code = tracking_machine(tracking, 0.05, dtype)
+    code = TrackingMachine.of(tracking, 0.05, dtype)
     found = code.judge(x, following, params, steps, touched)
     t = steps.to(dtype) * 0.05
     expected = {
@@ -71,7 +71,7 @@ def test_a_reward_is_the_sum_of_its_terms():
     tracking = Tracking(
         SIGNATURE, RandomStep([0.5], [0.5]), ("a",), ("b",), TrackingReward((4.0,), 0.1, 0.3, 0.01, 2.0)
     )
-    code = tracking_machine(tracking, 0.1, torch.float64)
+    code = TrackingMachine.of(tracking, 0.1, torch.float64)
     x = torch.tensor([[0.0, 1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]], dtype=torch.float64)
     following = torch.tensor([[0.3, 1.5, 0.0, 0.0], [0.495, 1.0, 0.0, 0.0]], dtype=torch.float64)
     params = tracking.sample(torch.Size((2,)), torch.Generator()).double()
@@ -89,16 +89,16 @@ def test_only_the_tracking_task_itself_has_machine_code():
         pass
 
     step = RandomStep([0.5], [0.5])
-    assert tracking_machine(Other(SIGNATURE, step, ("a",), (), TrackingReward((1.0,))), 0.1, torch.float32) is None
-    assert tracking_machine(Tracking(SIGNATURE, step, ("a",), (), Power((1.0,))), 0.1, torch.float32) is None
+    assert TrackingMachine.of(Other(SIGNATURE, step, ("a",), (), TrackingReward((1.0,))), 0.1, torch.float32) is None
+    assert TrackingMachine.of(Tracking(SIGNATURE, step, ("a",), (), Power((1.0,))), 0.1, torch.float32) is None
     bounded = Tracking(SIGNATURE, step, ("a",), (), TrackingReward((1.0,)), bounds={"a": math.pi})
-    assert tracking_machine(bounded, 0.1, torch.float32) is not None
-    assert tracking_machine(bounded.fenced(10.0), 0.1, torch.float32) is None
-    assert tracking_machine(bounded, 0.1, torch.bfloat16) is None
+    assert TrackingMachine.of(bounded, 0.1, torch.float32) is not None
+    assert TrackingMachine.of(bounded.fenced(10.0), 0.1, torch.float32) is None
+    assert TrackingMachine.of(bounded, 0.1, torch.bfloat16) is None
 
 
 def test_copies_are_made_anew():
-    code, x = tracking_machine(task(), 0.1, torch.float32), torch.rand(1, 4)
+    code, x = TrackingMachine.of(task(), 0.1, torch.float32), torch.rand(1, 4)
     params, steps = (
         task().sample(torch.Size((1,)), torch.Generator().manual_seed(0)),
         torch.ones(1, 1, dtype=torch.int64),
