@@ -497,8 +497,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "{one:.6g}{unit:unit}; a controller keeps it from {low:.6g} to {high:.6g}{unit:unit}",
     "log.guessed_ends": "these are the ends of the log; if an actuator goes further, give its own, and low: -1, high: "
     "1 keeps the numbers as they are: {inputs:data.inputs}",
-    "log.resolution": "{state} is read in steps of {step:.3g} {unit}{coarse:?(a sensor that cuts off reads half a step "
-    "too low, which no standard error tells)}",
+    "log.resolution": "{state} is read in steps of {step:.3g}{unit:unit}{coarse:?(a sensor that cuts off reads half a "
+    "step too low, which no standard error tells)}",
     "log.low_signal": _quiet,
     "log.touched_stop": "{count:# sample|# samples} that touched a stop {count:was|were} left out",
     "log.rate_contradicted": "{rate} was given as the rate of {state}, which the log contradicts: {state} does not "
@@ -572,7 +572,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "fit.budget": "the search ended after {seconds:.0f} s of computing{stopped:?(it was stopped)}; the best model "
     "until then was kept. For a longer one give more <world_model.refinement.seconds>",
     # the model
-    "model.delay": "the inputs act {seconds:time} late",
+    "model.delay": "the inputs act {seconds:time} late, by a delay or a lag of about that",
     "model.dry_friction": "{state}' has dry friction",
     "model.lag_state": "{state}, seen by no sensor, follows {signal} with a time constant of {seconds:.3g} s",
     "model.idle_state": "{states:and} stand in no equation; what no sensor sees needs a first guess of the equations, "
@@ -585,15 +585,15 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "model.runs_away": "this model does not predict: within {seconds:time} it runs away in {states:list}",
     "model.misses": lambda seconds, errors, units, held: (
         f"this model does not predict: over {format_duration(seconds)} it misses "
-        + ", ".join(f"{name} by {error_of(error)} {units[name]}" for name, error in errors.items())
+        + ", ".join(f"{name} by {error_of(error)}{FORMATS['unit'](units[name])}" for name, error in errors.items())
         + f"; the last value held misses {', '.join(map(error_of, held.values()))}"
     ),
     "model.unstable_plant": lambda states, seconds: (
         f"a linear model on past samples lets {' and '.join(states)} run away, too, as a pole does that falls"
         + f"; for {format_duration(seconds)} this model has half of the error of the last value held" * bool(seconds)
     ),
-    "model.linear_better": "a linear model on past samples predicts {state} {seconds:time} ahead to {linear:error} "
-    "{unit}, this one to {error:error}: a function may be missing, or a state that no sensor sees",
+    "model.linear_better": "a linear model on past samples predicts {state} {seconds:time} ahead to {linear:error}"
+    "{unit:unit}, this one to {error:error}: a function may be missing, or a state that no sensor sees",
     "model.leave_out": "if {states:and} is no part of the plant, as a temperature beside it, leave it out: "
     "{kept:data.states}",
     "model.unexplained": "of the changes from sample to sample the model misses {shares:shares}: its library lacks a "
@@ -613,16 +613,17 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "run.thin_margin": "the loop has a disk margin of {value:.2g} at ({target:list}), by {input}, where {limit:g} or "
     "more is robust: a check tells more of it, and what helps",
     "check.noise": lambda known=True, **facts: _fill(NOISE if known else NO_NOISE, facts),
-    "check.steady_error": "in steps from {begin} at most {error:.3g} {unit} of {output}; threshold: {limit:.3g} {unit}",
+    "check.steady_error": "in steps from {begin} at most {error:.3g}{unit:unit} of {output}; threshold: "
+    "{limit:.3g}{unit:unit}",
     "check.slew": "{input} changes by up to {value:.3g} in a period of steps from {begin}; threshold: {limit:g}",
     "check.saturation": "in steps from {begin} {input} is at its limit for up to {value:percent} of {seconds:time}; "
     "threshold: {limit:percent}",
     "check.coefficients": "{plants} plants with other coefficients, {how}, at {held} targets where the model itself is "
     "stable: {unstable} are not stable, at worst with a spectral radius of {radius:.6g} (inf: no rest); of those that "
-    "come to rest a steady error of at most {error:.3g} {unit} of {output}, and {ran_away} run away in the step of "
-    "steps.png; threshold: stable, {limit:.3g} {unit}",
+    "come to rest a steady error of at most {error:.3g}{unit:unit} of {output}, and {ran_away} run away in the step of "
+    "steps.png; threshold: stable, {limit:.3g}{unit:unit}",
     "check.recovery": "comes back from errors of up to {reach:|# times }the typical size of each state: "
-    "{shares:shares}, of {tried} each, and rests with an error of {error:.3g} {unit} of {output}; threshold: "
+    "{shares:shares}, of {tried} each, and rests with an error of {error:.3g}{unit:unit} of {output}; threshold: "
     "{limit:percent}",
     # a run
     "plant.coarse_steps": _coarse_steps,
@@ -630,7 +631,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "registered with {registered}, a limit that does not hold here",
     "excitation.restarts": lambda times, beyond: (
         _fill("the excitation began anew at the start {times:once|# times}: ", {"times": times})
-        + ", ".join(_fill("{state} beyond {low:g} to {high:g} {unit}, {times:once|# times}", each) for each in beyond)
+        + ", ".join(
+            _fill("{state} beyond {low:g} to {high:g}{unit:unit}, {times:once|# times}", each) for each in beyond
+        )
         + "an episode was over" * (not beyond)
     ),
     "excitation.stops": "the excitation reached a mechanical stop in {count} of {total} control periods; the model is "
@@ -652,8 +655,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "forecast.longer_plan": "nothing runs away: a longer plan, or a smaller range of targets, may hold it",
     "forecast.short_log": "half of what the plan does not see of the log has {samples} samples, fewer than the "
     "{functions} functions of the equations, which tells nothing: log longer, or choose a smaller library",
-    "forecast.beyond_log": "the targets of {state} go from {low:.3g} to {high:.3g} {unit}, the log from {least:.3g} to "
-    "{most:.3g}: what the equations say so far beyond is a guess, so log it there, or give targets nearer to the log",
+    "forecast.beyond_log": "the targets of {state} go from {low:.3g} to {high:.3g}{unit:unit}, the log from "
+    "{least:.3g} to {most:.3g}: what the equations say so far beyond is a guess, so log it there, or give targets "
+    "nearer to the log",
     "forecast.beyond_inputs": "flights take {input} from {low:.2g} to {high:.2g}, the log tells of {least:.2g} to "
     "{most:.2g}, and the equations are not linear in it: plan with the log, or log all of the range",
     "control.period": lambda cause, **facts: _fill(
@@ -662,7 +666,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "control.sampled": "the control period is {seconds:g} s and not {wanted:env.dt}, the log has one in {step:g} s",
     "control.restless": "at rest {input} still changes by {percent:.2g} % of its range from period to period, on "
     "average: see that the actuator stands it",
-    "control.beyond_targets": "references of {output} in scenario '{scenario}' go from {least:.3g} to {most:.3g} "
-    "{unit}, its targets from {low:.3g} to {high:.3g} {unit}: train with <plant.signals=null> to keep within these",
+    "control.beyond_targets": "references of {output} in scenario '{scenario}' go from {least:.3g} to "
+    "{most:.3g}{unit:unit}, its targets from {low:.3g} to {high:.3g}{unit:unit}: train with <plant.signals=null> to "
+    "keep within these",
 }
 """What is said of each finding: a template, or a function of its values."""

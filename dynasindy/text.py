@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import NamedTuple
 
-COMMAND = re.compile(r"\s*(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
+COMMAND = re.compile(r"\s*(?:PYTHONPATH=\S+ )?(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
 """How a line begins that is meant to be copied into a shell."""
 COMMENT = "  # "
 """What a comment behind a command begins with."""

@@ -346,7 +346,7 @@ def table(forecasts: ForecastErrors, signature: Signature, columns: int | None =
         for i, (name, unit) in enumerate(zip(signature.state_names, signature.state_units, strict=True)):
             if bool(forecasts.held[:, i].isnan().all()):
                 continue
-            finest = f"the sensor resolves {error_of(float(forecasts.resolution[i]))}"
+            finest = f"a step, or the noise, of its sensor is {error_of(float(forecasts.resolution[i]))}"
             text.append(f"  {name} [{unit}], {'whose sensor shows no noise' if fine[i] else finest}")
             most = LOST * signature.x_scale[i]
             for kind, found in kinds.items():

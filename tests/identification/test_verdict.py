@@ -105,7 +105,9 @@ def test_measured_states_that_are_predicted_are_those_to_keep_beside_others():
 def test_the_table_and_the_file_hold_measured_states_alone():
     lines = table(forecasts(0.002), SIGNATURE)
     assert lines[1].split() == ["0.2", "s", "2", "s", "5", "s"]
-    assert lines[2] == "  q [rad], the sensor resolves 0.0015" and not any("v [" in line for line in lines)
+    assert lines[2] == "  q [rad], a step, or the noise, of its sensor is 0.0015" and not any(
+        "v [" in line for line in lines
+    )
     assert [line.split()[-2] for line in lines[3:6]] == ["0.002", "1", "0.1"]  # over 2 s
     assert [line.split("  ")[2] for line in lines[3:6]] == ["model", "linear model", "last value held"]
     assert "past" in lines[0]

@@ -85,6 +85,9 @@ def test_a_plan_from_a_log_that_does_not_hold_is_offered_what_the_log_lacks(impr
     assert read(alone) == ["python", "scripts/identify.py", "system=xi"]
 
 
-def test_the_command_that_builds_parts_of_the_users_own_names_their_packages(steps):
+def test_the_command_that_builds_parts_of_the_users_own_names_their_packages_and_where_they_lie(steps, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", "my parts")
     (evaluate,) = steps.run_steps("a run", "evaluate", plugins=("plugins=[wheel,mine]",))
-    assert read(evaluate)[-2:] == ["run=a run", "plugins=[wheel,mine]"]
+    assert read(evaluate)[0] == "PYTHONPATH=my parts" and read(evaluate)[-2:] == ["run=a run", "plugins=[wheel,mine]"]
+    (plain,) = steps.run_steps("a run", "evaluate")
+    assert read(plain)[0] == "python"
