@@ -31,7 +31,6 @@ from dynasindy.identification.source import Source
 from dynasindy.safe_io import checked
 from dynasindy.sensing import Sensors
 from dynasindy.systems import System
-from dynasindy.systems.ranges import start_ranges
 from dynasindy.tasks import Step
 from dynasindy.text import did_you_mean, format_duration
 from dynasindy.workbench import closed_loop
@@ -156,7 +155,7 @@ def simulate(
         )
     rows, task = _rows(targets, controller.outputs), controller.setup.task
     if start is not None:
-        task = task.with_starts(start_ranges(mine, dict(start), "start")[:1].double())
+        task = task.with_starts(mine.start_ranges(dict(start), "start")[:1].double())
     env, policy, sensing = closed_loop(controller, plant, task, seed)
     env.delay = float(getattr(plant, "delay", 0.0))
     scenario = Scenario("simulation", Step(rows), len(rows), seconds, seed=seed)

@@ -16,8 +16,7 @@ from dynasindy.checking.linear_loop import Array, Margins, RestingLoop, find_res
 from dynasindy.progress import reporting_as, track
 from dynasindy.safe_io import checked_class
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import ranges
-from dynasindy.systems.ranges import Ends
+from dynasindy.systems.base import Ends
 
 PERIODS = 400
 """Control periods of a flight whose length is not given, those of the paper's episodes; a slow plant gets more time."""
@@ -225,8 +224,8 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
     seconds = settings.seconds or PERIODS * loop.dt
     settings, targets = replace(settings, seconds=seconds), settings.targets
     rest = find_rest(loop, targets, seconds=seconds)
-    begin = ranges.start_ranges(loop.signature, settings.start).double().mean(0)
-    low, high = ranges.state_limits(loop.signature, settings.bounds)
+    begin = loop.signature.start_ranges(settings.start).double().mean(0)
+    low, high = loop.signature.state_limits(settings.bounds)
     if not settings.start and not bool(((low <= 0) & (high >= 0)).all()):
         begin = guess_rest(loop, settings.ends.mean(0, keepdim=True))[0, loop.parts["x"]]
     good, farthest = rest.stable, int((targets - begin[loop.task.outputs]).square().sum(-1).argmax())

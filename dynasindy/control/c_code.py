@@ -20,7 +20,7 @@ import jinja2
 import numpy as np
 
 from dynasindy.control.controller import Array, Controller
-from dynasindy.control.files import network, require_sparse
+from dynasindy.control.files import require_sparse
 from dynasindy.control.integral import IntegralAction
 from dynasindy.sensing.observer import FAR, LEAST, NUDGE, UNKNOWN
 from dynasindy.sindy import SindyModel
@@ -196,7 +196,7 @@ def controller_sources(controller: Controller, name: str = "controller") -> Sour
     """
     name, signature, observer = _module_name(name), controller.signature, controller.observer
     task, integral = controller.setup.task, controller.integral
-    weights = [(layer.weight.cpu(), layer.bias.cpu()) for layer in network(controller).layers()]
+    weights = [(layer.weight.cpu(), layer.bias.cpu()) for layer in controller.network.layers()]
     targets, units = controller.targets_in_words(), dict(zip(signature.state_names, signature.state_units, strict=True))
     words: dict[str, Any] = {
         "name": name,

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor
 
+from dynasindy.agents.networks import MLP
 from dynasindy.control.integral import IntegralAction
 from dynasindy.sensing import Observer
 from dynasindy.sensing.observer import Belief
@@ -193,6 +194,20 @@ class Controller:
         """Names of the states that are measured: all of them, or those that the observer is told."""
         channels = self.observer.sensors.channels if self.observer is not None else None
         return tuple(name for name in self.signature.state_names if channels is None or name in channels)
+
+    @property
+    def network(self) -> MLP:
+        """The network of its policy.
+
+        Raises:
+            ValueError: The policy is of another kind.
+        """
+        module = getattr(self.policy, "module", self.policy)
+        if not isinstance(module, MLP) or not module.squash:
+            raise ValueError(
+                f"no file holds a policy that is a {type(module).__name__}; allowed is the actor of an agent"
+            )
+        return module
 
     def __repr__(self) -> str:
         names, units = self.signature.state_names, self.signature.state_units

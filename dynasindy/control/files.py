@@ -77,7 +77,7 @@ def save(controller: Controller, path: str | Path) -> None:
         },
         "policy": [
             {"in": w.shape[1], "out": w.shape[0], "weight": _packed(w), "bias": _packed(b)}
-            for w, b in ((layer.weight, layer.bias) for layer in network(controller).layers())
+            for w, b in ((layer.weight, layer.bias) for layer in controller.network.layers())
         ],
         "integral": numbers and {name: getattr(numbers, name) for name in ("gain", "band", "limit", "rate")},
         "observer": observer
@@ -148,18 +148,6 @@ def load(path: str | Path) -> Controller:
         integral = record["integral"]
         numbers = None if integral is None else {name: _positive(value) for name, value in integral.items()}
         return Controller(policy, setup, observer, numbers)
-
-
-def network(controller: Controller) -> MLP:
-    """Return the network of a controller's policy.
-
-    Raises:
-        ValueError: The policy is of another kind.
-    """
-    module = getattr(controller.policy, "module", controller.policy)
-    if not isinstance(module, MLP) or not module.squash:
-        raise ValueError(f"no file holds a policy that is a {type(module).__name__}; allowed is the actor of an agent")
-    return module
 
 
 def require_sparse(observer: Observer) -> SindyModel:

@@ -35,24 +35,6 @@ FACTORS = (180 / math.pi, math.pi / 180, RPM, 6.0, 1 / 60, 2 * math.pi, 0.5 / ma
 """Factors between the slope of a state and its rate that units make: degrees, turns, minutes, and parts of a unit."""
 
 
-def _unit_of_rate(unit: str) -> str:
-    """Return the unit of the rate of a state, per second."""
-    return "1/s" if unit == "-" else f"{unit}/s"
-
-
-def with_rates(signature: Signature, known: Mapping[str, str]) -> Signature:
-    """Return a signature with the rates that are known to belong to a state and are no states yet, behind the others.
-
-    Args:
-        signature: Names and units.
-        known: The rate of each state, by its name; other equations add nothing.
-    """
-    for name, rate in known.items():  # a rate may be a state that has a rate
-        if name in signature.state_names and rate not in signature.state_names and rate.isidentifier():
-            signature = signature.with_state(rate, _unit_of_rate(signature.state_units[signature.state_index(name)]))
-    return signature
-
-
 def check_rates(data: Transitions, signature: Signature, known: Mapping[str, str]) -> list[Finding]:
     """Return which states clearly do not move by their rates, and which rates are in other units than their states.
 
@@ -83,7 +65,7 @@ def check_rates(data: Transitions, signature: Signature, known: Mapping[str, str
     for rate in measured:
         sure = [s for s in measured if known.get(s) == rate] or [s for s in measured if is_rate_of(s, rate)]
         plain = rate in PLAIN_RATES and units[rate] == "-"
-        fits = (s for s, unit in units.items() if (unit == "-" if plain else _unit_of_rate(unit) == units[rate]))
+        fits = (s for s, unit in units.items() if (unit == "-" if plain else signature.rate_unit(s) == units[rate]))
         others = [s for s in fits if s in measured and s not in known and s != rate]
         ties = {s: compare(s, rate) for s in sure or others}
         state, (factor, correlation) = max(ties.items(), key=lambda tie: abs(tie[1][1]), default=("", NO_TIE))
@@ -125,8 +107,8 @@ def require_consistent_rates(
         near = min(FACTORS, key=lambda known: abs(math.log(abs(factor) / known)))
         close = abs(math.log(abs(factor) / near)) < 0.05
         scale = (math.copysign(near, factor) if close else float(f"{factor:.3g}")) * column.scale
-        mended = {**columns, rate: replace(column, unit=_unit_of_rate(unit), scale=scale)}
-        allowed = f"the unit of {state} per second" if unit == "-" else _unit_of_rate(unit)
+        mended = {**columns, rate: replace(column, unit=signature.rate_unit(state), scale=scale)}
+        allowed = f"the unit of {state} per second" if unit == "-" else signature.rate_unit(state)
         from dynasindy.data.columns import as_map  # with pandas, which data of a simulation do without
 
         raise LogError(each.code, **place, **each.values, unit=allowed, states=as_map(mended))

@@ -22,9 +22,8 @@ from dynasindy.identification.source import PERIOD, DataSource, Source
 from dynasindy.limits import Positive
 from dynasindy.safe_io import checked_class
 from dynasindy.sensing import Sensors
-from dynasindy.systems.base import System
+from dynasindy.systems.base import Ends, System, sample_states
 from dynasindy.systems.checks import require_plant
-from dynasindy.systems.ranges import Ends, require_start_within, sample_states, start_ranges, state_limits
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -95,9 +94,9 @@ class Simulated(DataSource):
         """
         if system is None or excitation is None:
             raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
-        ends = state_limits(system.signature, self.bounds or {}, "data.bounds")
-        start = start_ranges(system.signature, self.start or {}, "data.start")
-        require_start_within(system.signature, start, ends, group="data")
+        ends = system.signature.state_limits(self.bounds or {}, "data.bounds")
+        start = system.signature.start_ranges(self.start or {}, "data.start")
+        system.signature.require_start_within(start, ends, group="data")
         require_plant(system, lambda batch: self._start(system, self.seed, batch), ends)
         period = self.period or PERIOD
         signal = excitation(n_u=system.signature.n_u, seed=self.seed, dt=period)
@@ -179,5 +178,5 @@ class Simulated(DataSource):
 
     def _start(self, system: System, seed: int, batch: tuple[int, ...] = ()) -> Tensor:
         """Return the states in which recordings begin, `(*batch, n_x)`."""
-        ends = start_ranges(system.signature, self.start or {})
+        ends = system.signature.start_ranges(self.start or {})
         return sample_states(ends, torch.Size(batch), torch.Generator().manual_seed(seed))

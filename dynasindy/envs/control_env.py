@@ -20,7 +20,6 @@ from dynasindy.safe_io import checked
 from dynasindy.systems import System, integrate, repeat_steps, simulate
 from dynasindy.systems.checks import rates_at_start, require_plant
 from dynasindy.systems.integrators import plain
-from dynasindy.systems.ranges import require_start_within
 from dynasindy.systems.steps import split_delay, steps_of, time_step_of
 from dynasindy.tasks import Task, Tracking
 from dynasindy.tasks.machine import TrackingMachine
@@ -345,7 +344,7 @@ class ControlEnv(EnvBase):
     def _require_start_within(self) -> None:
         """Refuse bounds that exclude where episodes begin."""
         if isinstance(self.task, Tracking):
-            require_start_within(self.system.signature, self.task.start_ends, self.task.bounds, group="task")
+            self.system.signature.require_start_within(self.task.start_ends, self.task.bounds, group="task")
 
     def _begins(self, batch: torch.Size) -> Tensor:
         """Return states in which episodes begin, `(*batch, n_x)`, the same ones each time."""

@@ -30,7 +30,7 @@ from torch.overrides import TorchFunctionMode
 
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlLaw, Memory
-from dynasindy.control.files import network, require_sparse
+from dynasindy.control.files import require_sparse
 from dynasindy.export.formats import field_of
 from dynasindy.safe_io import replace_file
 from dynasindy.sindy import SindyModel
@@ -99,7 +99,7 @@ class _Policy(nn.Module):
 
     def __init__(self, controller: Controller) -> None:
         super().__init__()
-        self.network = copy.deepcopy(network(controller)).requires_grad_(False).float().cpu()
+        self.network = copy.deepcopy(controller.network).requires_grad_(False).float().cpu()
 
     def forward(self, observation: Tensor) -> Tensor:
         """Return the actions."""

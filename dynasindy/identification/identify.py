@@ -119,6 +119,12 @@ class Identified(LogFit):
         """Which states the data are too quiet to tell of, and what to move."""
         return low_signal_findings(self.source.training, self.source.signature, self._rates())
 
+    @property
+    def restarts(self) -> str:
+        """How often a prediction of all data begins anew, after gaps, in words; empty where it never does."""
+        gaps = int(self.source.validation.begins().sum()) - 1
+        return f", begun anew after {gaps} gap{'s' * (gaps > 1)}" if gaps > 0 else ""
+
     def resolved(self) -> ForecastErrors | None:
         """Return the errors of the states that the data tell of; None where they tell of none, or are too short."""
         return self.forecasts and self.forecasts.without(low_signal_states(self.source.training, self._rates()))
@@ -164,7 +170,7 @@ class Identified(LogFit):
             *(f"found: {each}" if each.severity == "note" else line(each) for each in self.content),
             "",
             *(table(forecasts, source.signature, columns) if forecasts is not None else []),
-            f"one prediction of all data that the fit did not see{describe_restarts(source.validation)}, relative to "
+            f"one prediction of all data that the fit did not see{self.restarts}, relative to "
             "the standard deviation of each state",
         ]
         for state, error in self.metrics["open_loop_nrmse"].items():
@@ -389,12 +395,6 @@ def _plus_minus(value: float, error: float) -> str:
     digits = max(0, 1 - math.floor(math.log10(float(f"{spread:.1e}"))))
     written = f"{size:.{digits}f} ± {spread:.{digits}f}"
     return f"({written})e{scale:+03d}" if scale else written
-
-
-def describe_restarts(data: Transitions) -> str:
-    """Say that a prediction of all data begins anew after gaps, and how often; empty where there is none."""
-    gaps = int(data.begins().sum()) - 1
-    return f", begun anew after {gaps} gap{'s' * (gaps > 1)}" if gaps > 0 else ""
 
 
 def _coefficient_tables(model: SindyModel) -> dict[str, str]:

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dynasindy.data.rates import with_rates
 from dynasindy.findings import Finding, note, weak
 from dynasindy.sentences import setting
 from dynasindy.sindy import SindyModel
@@ -105,7 +104,7 @@ class Source:
         Args:
             known: the rate of each state, by its name.
         """
-        found = self.with_unmeasured(with_rates(self.signature, known))
+        found = self.with_unmeasured(self.signature.with_rates(known))
         signature = _with_rate_ranges(found.signature, found.whole, known)
         added = found.signature.state_names[self.signature.n_x :]
         findings = (note("log.unmeasured", state=name) for name in added)
@@ -163,7 +162,7 @@ class Source:
                 f"in the log, or another zero; give the ends of the actuator to both, low, high and rest in "
                 f"{setting('data.inputs')}, or identify the log again"
             )
-        source = self.with_unmeasured(with_rates(self.signature, rates_of(model)))
+        source = self.with_unmeasured(self.signature.with_rates(rates_of(model)))
         names, states = source.signature.state_names, model.signature.state_names
         if states[: len(names)] != names or not set(states[len(names) :]) <= set(model.followed):
             raise ValueError(

@@ -19,8 +19,7 @@ import numpy as np
 
 from dynasindy.rig.base import Array, Fault, Rig, RigClock, Wiring
 from dynasindy.rig.log import Log
-from dynasindy.systems.base import WHOLE
-from dynasindy.systems.ranges import Ends, state_limits
+from dynasindy.systems.base import WHOLE, Ends
 
 Act = Callable[[Array, float], Array]
 """What was measured `(n_x,)` and the time since the start [s], to inputs `(n_u,)` in [-1, 1]."""
@@ -71,7 +70,7 @@ class Guard:
         if self.low or self.high:
             return self
         given = {name: ends for name, ends in bounds.items() if name in wiring.measured}
-        ends = state_limits(wiring.signature, given).tolist()
+        ends = wiring.signature.state_limits(given).tolist()
         low, high = ({name: side[wiring.signature.state_index(name)] for name in given} for side in ends)
         return replace(self, low=low, high=high)
 

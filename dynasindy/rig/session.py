@@ -18,7 +18,6 @@ from pydantic import create_model
 from dynasindy import workbench
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
-from dynasindy.data.rates import with_rates
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Excitation
 from dynasindy.identification.identify import LoggedData, identify
@@ -80,7 +79,7 @@ class Knowledge:
         Raises:
             ValueError: A function, an equation or an output is not one of this plant.
         """
-        signature = with_rates(signature, self.known or {})
+        signature = signature.with_rates(self.known or {})
         workbench.tracking_task(SindyModel(signature, self.library, known=self.known), self.targets)
 
     def within(self, wanted: Sequence[Sequence[float]] | None) -> list[list[float]]:

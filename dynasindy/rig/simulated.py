@@ -15,8 +15,8 @@ from torch import Tensor
 from dynasindy.rig.base import Array, RigClock
 from dynasindy.sensing import Sensors
 from dynasindy.systems import System, integrate
+from dynasindy.systems.base import Ends, sample_states
 from dynasindy.systems.checks import require_plant
-from dynasindy.systems.ranges import Ends, require_start_within, sample_states, start_ranges, state_limits
 
 ROUNDING = 1e-9
 """Times that differ by less are the same [s]."""
@@ -122,13 +122,13 @@ def rehearsal(
     """
     if not system.known:
         raise ValueError("nobody knows the equations of this plant, so none is simulated; give rig=udp and rig.host")
-    ends = start_ranges(system.signature, start or {}).double()
+    ends = system.signature.start_ranges(start or {}).double()
 
     def _begins(batch: torch.Size) -> torch.Tensor:
         return sample_states(ends, batch, torch.Generator().manual_seed(seed))
 
-    limits = state_limits(system.signature, bounds or {})
-    require_start_within(system.signature, ends, limits)
+    limits = system.signature.state_limits(bounds or {})
+    system.signature.require_start_within(ends, limits)
     require_plant(system, _begins, limits)
     late = dt * sensors.actuator_delay if sensors else 0.0
     rig = SimulatedRig(system, sensors, seed=seed, step=dt / 5, delay=late, start=_begins(torch.Size()))

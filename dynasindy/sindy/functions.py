@@ -64,6 +64,20 @@ class Function:
         call: Callable[..., Tensor] = eval(f"lambda {', '.join(names)}: {self.formula.format(*names)}", TORCH_FUNCTIONS)
         return call
 
+    def of_two(self, sign: str) -> str:
+        """Return the name of the function that has the sum (sign `+`) or the difference of two variables as argument.
+
+        Raises:
+            ValueError: it takes no sum and no difference.
+        """
+        if self.n_variables != 1 or (self.name in _BUILT_IN and self.name not in _EVERYWHERE):
+            raise ValueError(
+                f"function {self.name!r} takes no sum and no difference of two variables; those that do are "
+                f"{', '.join(_EVERYWHERE)}, and each function of your own of one argument. For a root of either sign, "
+                f"{_ways('flow', '{0} / sqrt(larger(fabs({0}), 0.001))')}; then flow(a {sign} b) is one of the library"
+            )
+        return f"{self.name}_sum" if sign == "+" else f"{self.name}_gap"
+
 
 class FunctionError(FileError):
     """A function is needed that is not known here, or is another one here; what needs it is not damaged for that."""
@@ -110,21 +124,6 @@ _EVERYWHERE = ("sin", "cos", "abs", "sign", "exp", "tanh", "bell", "per_cos2")
 def _of_one(name: str) -> str:
     """Return the name of the function of one variable that one of a sum or a difference is made of, or the name."""
     return name[:-4].rstrip("_") if name not in _REGISTRY and name[-4:] in _SIGN_OF else name
-
-
-def of_two(name: str, sign: str) -> str:
-    """Return the name of the function that has the sum (sign `+`) or the difference of two variables for its argument.
-
-    Raises:
-        ValueError: the function is not known, or takes no sum and no difference.
-    """
-    if function(name).n_variables != 1 or (name in _BUILT_IN and name not in _EVERYWHERE):
-        raise ValueError(
-            f"function {name!r} takes no sum and no difference of two variables; those that do are "
-            f"{', '.join(_EVERYWHERE)}, and each function of your own of one argument. For a root of either sign, "
-            f"{_ways('flow', '{0} / sqrt(larger(fabs({0}), 0.001))')}; then flow(a {sign} b) is one of the library"
-        )
-    return f"{name}_sum" if sign == "+" else f"{name}_gap"
 
 
 @contextmanager

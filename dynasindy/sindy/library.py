@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.sentences import setting
-from dynasindy.sindy.functions import function, of_two
+from dynasindy.sindy.functions import function
 from dynasindy.systems.base import Signature
 
 FARTHEST = 30.0
@@ -223,7 +223,7 @@ def _written(name: str, arguments: str, power: int) -> Factor:
     """Read arguments of a function: `a`, `2 a`, `~2 a` whose number is fitted, or `a, b; 2` if it multiplies none."""
     names, semicolon, last = (part.strip() for part in arguments.partition(";"))
     if (two := _TWO.fullmatch(names)) and re.fullmatch(_NUMBER, last or "1"):
-        return Factor((two[1], two[3]), of_two(name, two[2]), power, float(last or 1))
+        return Factor((two[1], two[3]), function(name).of_two(two[2]), power, float(last or 1))
     each = [f"{last} {argument}" if semicolon else argument for argument in names.split(",")]
     found = [match for match in map(_ARGUMENT.fullmatch, each) if match is not None]
     numbers = {(bool(match["fitted"]), float(match["number"] or 1)) for match in found}

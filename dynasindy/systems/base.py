@@ -6,7 +6,7 @@ import math
 import re
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,6 +26,8 @@ PRECISIONS = (torch.float32, torch.float64)
 WHOLE = (-1.0, 1.0)
 """Ends and limits of an input that has no others."""
 UNIT = re.compile(r"[\w°%^*/().\- ²³·µ]{1,30}")
+Ends = float | Sequence[float]
+"""A number, or the two ends of a range."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +133,86 @@ class Signature:
             x_scale=(*self.x_scale, scale),
         )
 
+    def state_limits(self, given: Mapping[str, Ends], key: str = "plant.bounds") -> Tensor:
+        """Return lower and upper limits of states, `(2, n_x)`, infinite where there is none.
+
+        Args:
+            given: Limits by state: one for both sides of zero, or both ends.
+            key: Setting in which they were given.
+
+        Raises:
+            ValueError: One is of no state, or is no range.
+        """
+        both = {name: [-v, v] if isinstance(v, int | float) else v for name, v in given.items()}
+        free = torch.tensor([[-math.inf], [math.inf]], dtype=torch.float64).expand(-1, self.n_x)
+        return self._put(both, key, free.clone())
+
+    def start_ranges(self, given: Mapping[str, Ends], key: str = "plant.start") -> Tensor:
+        """Return the ends of the range in which states begin, `(2, n_x)`; those that are not named begin at zero.
+
+        Args:
+            given: Where they begin, by state: a value, or the two ends of a range.
+            key: Setting in which that was given.
+
+        Raises:
+            ValueError: One is of no state, or is no range.
+        """
+        return self._put(given, key, torch.zeros(2, self.n_x))
+
+    def require_start_within(
+        self, start: Tensor, bounds: Tensor, names: Collection[str] | None = None, group: str = "plant"
+    ) -> None:
+        """Refuse limits that exclude where a plant begins: it would leave them with the first period of every try.
+
+        Args:
+            start: Ends of the range in which states begin, `(2, n_x)`.
+            bounds: Their limits, `(2, n_x)`, infinite where there is none.
+            names: States that are looked at; all if omitted.
+            group: Group of settings in which `start` and `bounds` were given.
+
+        Raises:
+            ValueError: A state begins outside of its limits.
+        """
+        low, high = bounds.to(start)
+        outside = ((start < low) | (start > high)).any(0).tolist()
+        for name, out, begin, ends in zip(self.state_names, outside, start.T.tolist(), bounds.T.tolist(), strict=True):
+            if out and (names is None or name in names):
+                raise ValueError(
+                    f"{group}.start has {name} at {' to '.join(f'{value:g}' for value in dict.fromkeys(begin))}, and "
+                    f"{group}.bounds are {ends[0]:g} to {ends[1]:g}; allowed is a start within the bounds: "
+                    "correct either"
+                )
+
+    def _put(self, given: Mapping[str, Ends], key: str, ends: Tensor) -> Tensor:
+        """Return the ends of ranges with those that are given put in."""
+        for name, value in given.items():
+            pair = [value, value] if isinstance(value, int | float) else list(value)
+            if name not in self.state_names or len(pair) != 2 or not -math.inf < pair[0] <= pair[1] < math.inf:
+                hint = "" if name in self.state_names else did_you_mean(name, self.state_names)
+                raise ValueError(
+                    f"{key} has {name}: {value}; name one of the states {', '.join(self.state_names)}, with a value or "
+                    f"the two ends of a range{hint}"
+                )
+            ends[:, self.state_index(name)] = torch.tensor(pair).to(ends)
+        return ends
+
+    def rate_unit(self, name: str) -> str:
+        """Return the unit of the rate of a state."""
+        unit = self.state_units[self.state_index(name)]
+        return "1/s" if unit == "-" else f"{unit}/s"
+
+    def with_rates(self, known: Mapping[str, str]) -> Signature:
+        """Return the signature with rates that are known to belong to a state and are no states yet, behind the others.
+
+        Args:
+            known: The rate of each state, by its name; other equations add nothing.
+        """
+        signature = self
+        for name, rate in known.items():  # a rate may be a state that has a rate
+            if name in signature.state_names and rate not in signature.state_names and rate.isidentifier():
+                signature = signature.with_state(rate, signature.rate_unit(name))
+        return signature
+
     def own_inputs(self, ranged: bool = True) -> list[str]:
         """Say what each input is in the unit of its actuator, a line for each that has one.
 
@@ -170,6 +252,14 @@ class Signature:
             hint = did_you_mean(name, self.state_names)
             raise ValueError(f"{key} names '{name}', which is no state; they are {', '.join(self.state_names)}{hint}")
         return self.state_names.index(name)
+
+
+def sample_states(ends: Tensor, batch: torch.Size, generator: torch.Generator) -> Tensor:
+    """Return states between their ends `(2, n_x)`, `(*batch, n_x)`; nothing is drawn where every range is one value."""
+    low, high = ends
+    if torch.equal(low, high):
+        return low.expand(*batch, -1).clone()
+    return low + (high - low) * torch.rand(*batch, len(low), generator=generator)
 
 
 class System(nn.Module, ABC):

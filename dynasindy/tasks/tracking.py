@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from dynasindy.sentences import setting
-from dynasindy.systems import Signature, ranges
-from dynasindy.systems.ranges import Ends
+from dynasindy.systems import Signature
+from dynasindy.systems.base import Ends, sample_states
 from dynasindy.tasks import references
 from dynasindy.tasks.base import Task
 from dynasindy.tasks.references import N_PARAMS, Reference
@@ -105,10 +105,10 @@ class Tracking(Task):
         self.n_o = signature.n_x + (2 if observe_rate else 1) * self.n_r
         self._extents = _boxes(signature, self.outputs, low, high)
         self.ends = None if low is None or high is None else (tuple(map(float, low)), tuple(map(float, high)))
-        self.start = ranges.start_ranges(signature, start or {}, "task.start")
-        self.bounds = ranges.state_limits(signature, bounds or {}, "task.bounds")
+        self.start = signature.start_ranges(start or {}, "task.start")
+        self.bounds = signature.state_limits(bounds or {}, "task.bounds")
         # Where a state begins of which nothing is said, a log or the plant itself may say.
-        ranges.require_start_within(signature, self.start, self.bounds, start or {}, "task")
+        signature.require_start_within(self.start, self.bounds, start or {}, "task")
         for place, name, *ends in zip(self.outputs, outputs, *(self.ends or ((), ())), strict=False):
             least, most = self.bounds[:, place].tolist()
             if not least <= ends[0] <= ends[1] <= most:
@@ -247,7 +247,7 @@ class Tracking(Task):
         """Return the state in which episodes begin, `(*batch, n_x)`: the origin, unless `start` says otherwise."""
         if self.starts is not None:
             return self.starts[torch.randint(len(self.starts), batch, generator=generator)]
-        x = ranges.sample_states(self.start, batch, generator)
+        x = sample_states(self.start, batch, generator)
         for follower, state in self.followers.items():
             x[..., follower] += x[..., state]
         return x

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from dynasindy.identification.identify import Identified, describe_restarts
+from dynasindy.identification.identify import Identified
 from dynasindy.systems import Signature
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.style import (
@@ -49,7 +49,7 @@ def draw_identification(found: Identified, folder: Path, formats: Sequence[str] 
     """
     training, validation, names = found.source.training, found.source.validation, found.source.signature
     truth = "log" if found.source.logged else "plant"
-    title = f"Free-running prediction of unseen data{describe_restarts(validation)}"
+    title = f"Free-running prediction of unseen data{found.restarts}"
     time, later = (np.arange(len(data)) * data.dt for data in (training, validation))
     figures = {"training_data": training_data(time, training.x, training.u, names, segment=training.segment)}
     if len(validation):

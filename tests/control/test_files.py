@@ -11,7 +11,6 @@ import torch
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import ControlSetup
-from dynasindy.control.files import network
 from dynasindy.safe_io import DamagedFileError
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import SindyModel
@@ -101,7 +100,7 @@ def test_a_one_sided_actuator_rests_at_its_zero_and_an_earlier_file_at_the_middl
     """A motor of 0 to 12 V: 0 V was -1 and 6 V was 0, as no file said anything of limits; now 0 V is 0."""
     heated = replace(SIGNATURE, input_ends=((-12, 12),), input_limits=((0, 1),), input_units=("V",))
     controller = built(observer=False)
-    network(controller).layers()[-1].bias.sub_(0.17)  # about zero
+    controller.network.layers()[-1].bias.sub_(0.17)  # about zero
     free = acts_seeing_all(controller)
     assert free.min() < -1e-3 and free.max() > 1e-3
     free_task, inputs = controller.setup.task, torch.tensor(heated.input_limits).mT

@@ -13,7 +13,6 @@ import torch
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import ControlSetup
-from dynasindy.control.files import network
 from dynasindy.export import Native, controller_sources
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import SindyModel
@@ -153,7 +152,7 @@ def test_a_one_sided_actuator_is_off_where_the_first_call_is_refused_and_never_s
     """A motor of 0 to 12 V gets 0 V, and not the half of its power."""
     signature = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 3.0), [[-12, 12]], [[0, 1]], ["V"])
     controller = pendulum(observer=observer, signature=signature)
-    network(controller).layers()[-1].bias.sub_(0.19)  # about zero
+    controller.network.layers()[-1].bias.sub_(0.19)  # about zero
     native = Native(controller_sources(controller))
     with pytest.raises(ValueError, match="not finite"):
         native.act([0.1, 0.2], [math.nan])

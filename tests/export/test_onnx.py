@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.control.files import network
 from dynasindy.export.onnx import controller_onnx, policy_onnx
 from dynasindy.systems import Pendulum, Tras
 
@@ -147,7 +146,7 @@ def test_onnxruntime_acts_as_the_policy(pendulum, tmp_path):
     session = runtime.InferenceSession(str(tmp_path / "policy.onnx"), providers=["CPUExecutionProvider"])
     seen = torch.from_numpy(np.random.default_rng(0).standard_normal((50, 4)).astype(np.float32))
     (found,) = session.run(["action"], {"observation": seen.numpy()})
-    expected = network(controller)(seen.clone()).numpy()
+    expected = controller.network(seen.clone()).numpy()
     assert expected.std() > 0.05
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
     told = session.get_modelmeta().custom_metadata_map
