@@ -39,7 +39,7 @@ from dynasindy.control.controller import ControlSetup
 from dynasindy.control.integral import IntegralAction
 from dynasindy.control.period import as_planned, suited_period
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.forecast import Forecast, predict
+from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.scenarios import Policy, Scenario, step_references
 from dynasindy.evaluation.summary import to_text
 from dynasindy.evaluation.tracking_criteria import WITHIN
@@ -225,12 +225,12 @@ def forecast(
     rests = find_task_equilibria(env)
     never = "" if rests is None else unheld(env, rests)
     if log is None or not len(log.validation):
-        own = predict([model], env, policy, scenario, sensing, within)
+        own = Forecast.of([model], env, policy, scenario, sensing, within)
         return replace(own, in_sample=True, no_equilibrium=never)
     log = log.with_states_of(model)
     unseen = "what the plan has not seen"
     models = [fit for parts in (1, HALVES) for fit in _refits(model, log.validation, parts, unseen)]
-    found = replace(predict(models or [model], env, policy, scenario, sensing, within), in_sample=not models)
+    found = replace(Forecast.of(models or [model], env, policy, scenario, sensing, within), in_sample=not models)
     doubts = _doubts(model, log, LONGEST * controller.dt)
     doubts += [short] if (short := refit_shortage(model, log)) else []
     if found.evaluation is not None:

@@ -11,7 +11,7 @@ def main(cfg: Any) -> None:
     """Load data, fit, judge, write everything and print it."""
     from hydra.utils import instantiate
 
-    from dynasindy.identification.identify import before_fit, identify_source
+    from dynasindy.identification.identify import Identified, before_fit
     from dynasindy.progress import report_progress, say, width
     from dynasindy.sentences import lines
 
@@ -25,7 +25,7 @@ def main(cfg: Any) -> None:
     model = instantiate(cfg.world_model, _convert_="all")(signature=source.signature)
     findings = before_fit(model, source)
     say(*lines(findings))
-    found = identify_source(model, source)
+    found = Identified.of(model, source)
     found.save(folder, findings)
     if cfg.formats:
         from dynasindy.viz.identification import draw_identification

@@ -26,7 +26,7 @@ from dynasindy.data.headings import (
     parts_of,
     split_unit,
 )
-from dynasindy.data.table import COUNTED, Table, counts, grows, read_columns
+from dynasindy.data.table import COUNTED, Table, counts, grows
 from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.safe_io import checked_class
 from dynasindy.sentences import LEFT_OUT
@@ -149,7 +149,7 @@ def infer(
         ValueError: no heading is that of a state, none that of an input, one that is named does not exist, or an input
             holds words.
     """
-    table = read_columns(Path(path))
+    table = Table.read(Path(path))
     names = [split_unit(heading)[0] for heading in table.headings]
     if double := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(
@@ -392,7 +392,7 @@ def find_clock(path: Path, time: str, named: Collection[str], dt: float | None) 
         FileNotFoundError: There is no such file.
         ValueError: The file is no table of text.
     """
-    table = read_columns(path)
+    table = Table.read(path)
     if time != CLOCK or any(map(is_clock, table.headings)) or named_by(time, table.headings):
         return time
     growing = {heading: column for heading, column in table.moving().items() if grows(column)}

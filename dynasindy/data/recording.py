@@ -31,7 +31,7 @@ from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
 from dynasindy.data.columns import Column, as_map, find_clock, infer
 from dynasindy.data.headings import NAME, PLAIN_RATES, find_names, in_radians, is_rate_of, named_by, split_unit
 from dynasindy.data.rates import require_consistent_rates
-from dynasindy.data.table import correct_map, read_columns
+from dynasindy.data.table import Table, correct_map
 from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.sentences import lines as lines_of
 from dynasindy.sentences import setting
@@ -242,7 +242,7 @@ class LogReader:
         first, taken = Path(self.paths[0]), [split_unit(c.name or n)[0] for n, c in {**states, **inputs}.items()]
         time = find_clock(first, self.time, taken, self.dt)
         if plant is not None:
-            headings, rates = read_columns(first).headings, set((self.known or {}).values())
+            headings, rates = Table.read(first).headings, set((self.known or {}).values())
             states = states or {
                 name: Column("" if name in rates and not named_by(name, headings) else name, unit)
                 for name, unit in zip(plant.state_names, plant.state_units, strict=True)
@@ -280,7 +280,7 @@ class LogReader:
     def _part(self, path: str, roles: _Roles, plant: Signature | None, said: list[Finding]) -> _Part:
         """Read one file as it is: times, states in their units, and inputs in theirs."""
         time, states, inputs = roles
-        file = read_columns(Path(path))
+        file = Table.read(Path(path))
         clock, unit = clock_of(file.headings, time)
         names = [clock, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
         table = file.select(names, self.dt)

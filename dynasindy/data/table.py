@@ -73,6 +73,17 @@ class Table:
     dated: frozenset[str] = frozenset()
     findings: tuple[Finding, ...] = ()
 
+    @staticmethod
+    def read(path: Path) -> Table:
+        """Read a file; a file that was read just before is not read again.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: the file is no table, or a column with values has no heading.
+        """
+        state = path.stat() if path.is_file() else None
+        return _read(path, *((state.st_mtime_ns, state.st_size) if state else (0, 0)))
+
     @property
     def headings(self) -> list[str]:
         """Headings of the columns."""
@@ -148,17 +159,6 @@ class Table:
             for h, w in words.items()
         ]
         return replace(whole.edit(frame, {}, *said), words=words, dated=whole.dated & {first})
-
-
-def read_columns(path: Path) -> Table:
-    """Read a file; a file that was read just before is not read again.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is no table, or a column with values has no heading.
-    """
-    state = path.stat() if path.is_file() else None
-    return _read(path, *((state.st_mtime_ns, state.st_size) if state else (0, 0)))
 
 
 @lru_cache(maxsize=2)

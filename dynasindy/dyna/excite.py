@@ -26,7 +26,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.dyna.experiment import Components, PlantComponents
 from dynasindy.envs import ControlEnv
-from dynasindy.envs.rollout_data import measurements_and_inputs, transitions
+from dynasindy.envs.rollout_data import measurements_and_inputs
 from dynasindy.excitation import Excitation
 from dynasindy.findings import Finding, note, weak
 from dynasindy.planning.regulator import regulated
@@ -34,6 +34,7 @@ from dynasindy.progress import report_progress
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.systems import Diverged, steps_needed
+from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Tracking
 
 NEAR = 1.0
@@ -58,7 +59,7 @@ def _fit_local_model(rows: TensorDict, parts: PlantComponents) -> _LocalModel | 
     signature, home = parts.plant.system.signature, rows["state"][0].double()
     scale, n_x, n_u = torch.tensor(signature.x_scale, dtype=torch.float64), signature.n_x, signature.n_u
     if parts.sensing is None:
-        data = transitions(rows, parts.plant.log_dt)
+        data = Transitions.from_periods(rows, parts.plant.log_dt)
         middle = (0.5 * (data.x + data.x_next) - home) / scale
         near = (middle.abs() <= NEAR).all(-1)
         if int(near.sum()) < ENOUGH * (n_x + n_u + 1):
@@ -71,7 +72,7 @@ def _fit_local_model(rows: TensorDict, parts: PlantComponents) -> _LocalModel | 
         return _LocalModel(home, a.mT * scale / scale.mT, b.mT * scale, c[0] * scale.squeeze(-1))
     # By whole trajectories: rates that an observer without a model makes of angles come as late as a plant falls.
     away = ((rows["measurement"] - home) / scale).abs()
-    data = transitions(rows[~(away > NEAR).any(-1)], parts.plant.log_dt)
+    data = Transitions.from_periods(rows[~(away > NEAR).any(-1)], parts.plant.log_dt)
     if len(data) < ENOUGH * (n_x + n_u + 1):
         return None
     names, rates = signature.state_names, parts.sensing.observer.sensors.rates or {}

@@ -23,7 +23,6 @@ from dynasindy.control.files import NAME
 from dynasindy.dyna.callback import Callback, Episode, Place
 from dynasindy.dyna.excite import excitation_findings
 from dynasindy.dyna.experiment import Components
-from dynasindy.envs.rollout_data import transitions
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, column_headings
 from dynasindy.evaluation.tracking_criteria import (
@@ -39,6 +38,7 @@ from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.systems.equilibria import states_that_matter
 from dynasindy.systems.integrators import moved
+from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Tracking
 
 HEADLINE = ("return", "steady_state_error/", "rmse/")
@@ -241,7 +241,7 @@ class Recorder(Callback):
             write_json(self.folder / "observer.json", metrics["observer"])
         gate, verdict, unexplained = distrusted(self.decisions), judge_run(metrics, self.evaluating.within), []
         if sensing is None:  # of which states the model misses much of the changes; noise of sensors is none
-            seen = transitions(self.parts.replay.real_in_order(), self.parts.model_env.log_dt)
+            seen = Transitions.from_periods(self.parts.replay.real_in_order(), self.parts.model_env.log_dt)
             data = delay_inputs(seen, getattr(model, "delay", 0.0))
             with torch.no_grad():
                 missed = moved(model, data.x, data.u, data.dt, plant.substeps, data.u_end) - data.x_next

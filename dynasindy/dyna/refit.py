@@ -11,10 +11,11 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from dynasindy.dyna.experiment import Components, LoopSettings
-from dynasindy.envs.rollout_data import measurements_and_inputs, transitions
+from dynasindy.envs.rollout_data import measurements_and_inputs
 from dynasindy.planning import ModelError, replay_error
 from dynasindy.progress import report_progress
 from dynasindy.systems import Diverged
+from dynasindy.systems.transitions import Transitions
 
 WINDOW = 20
 """Control periods of a held-out window: an imagined rollout."""
@@ -51,7 +52,7 @@ def _fit(parts: Components, held_out: Tensor | None = None) -> object:
         used = torch.ones(len(rows), dtype=torch.bool)
         used[-len(held_out) :] &= ~held_out[-len(rows) :]
         rows = rows[used]
-    report = parts.world_model.fit(transitions(rows, parts.model_env.log_dt))
+    report = parts.world_model.fit(Transitions.from_periods(rows, parts.model_env.log_dt))
     model = parts.world_model
     for name, learnt in chain(model.named_parameters(), model.named_buffers()):
         if not bool(learnt.isfinite().all()):

@@ -15,7 +15,7 @@ from torch import Tensor
 from dynasindy.dyna.excite import RegulatedExcitation, excitation_findings, excite
 from dynasindy.dyna.experiment import PlantComponents
 from dynasindy.envs import ControlEnv
-from dynasindy.envs.rollout_data import disturb, record_plant, transitions
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Aprbs, Excitation
 from dynasindy.findings import Finding, note
 from dynasindy.identification.source import PERIOD, DataSource, Source
@@ -121,7 +121,7 @@ class Simulated(DataSource):
         )
         recorded = self._open_loop(system, signal, unseen, dt, ends) if signal.first == 1 else None
         training, validation, findings = recorded or self._held(system, signal, unseen, dt)
-        training = disturb(training, self.noise, self.seed, system.signature)
+        training = training.disturbed(self.noise, self.seed, system.signature)
         if self.sensors is not None:
             generator = torch.Generator().manual_seed(self.seed)
             training = training.observed(partial(self.sensors.read, signature=system.signature, rng=generator))
@@ -173,7 +173,7 @@ class Simulated(DataSource):
             if k == 0:  # how the plant is simulated is set elsewhere than in training
                 findings = [each for each in excitation_findings(bench, rows) if each.code.startswith("excitation.")]
             rows["next", "samples"] = rows["next", "samples"][:, self.substeps - 1 :: self.substeps]
-            parts.append(transitions(rows, self.substeps * bench.plant.log_dt))
+            parts.append(Transitions.from_periods(rows, self.substeps * bench.plant.log_dt))
         return parts[0], parts[1], findings
 
     def _start(self, system: System, seed: int, batch: tuple[int, ...] = ()) -> Tensor:

@@ -42,6 +42,47 @@ class Forecast:
     no_equilibrium: str = ""
     seconds: float | None = None
 
+    @classmethod
+    def of(
+        cls,
+        models: Sequence[System],
+        plan: ControlEnv,
+        policy: Policy,
+        scenario: Scenario,
+        sensing: Sensing | None = None,
+        within: float = WITHIN,
+    ) -> Forecast:
+        """Fly a controller on models in the place of the plant.
+
+        A model with an attribute `delay` [s] gets its inputs so much later.
+
+        Args:
+            models: Models that the plan has not seen.
+            plan: Environment that was planned in: task, control period and stops are its own.
+            policy: Policy to fly.
+            scenario: Situation to fly in.
+            sensing: Sensors and observer through which the policy sees a plant.
+            within: Mean absolute error at the end that is asked for, in target ranges.
+        """
+        flights: list[TrackingCriteria | None] = []
+        shown: Evaluation | None = None
+        for k, model in enumerate(models):
+            env = plan.with_system(model, torch.float64)
+            env.delay = float(getattr(model, "delay", 0.0))
+            result: Evaluation | None = None
+            with suppress(Diverged):
+                seen = None if sensing is None else sensing.on(env, sensing.rng)
+                result = evaluate(env, policy, scenario, seen, f"flights on model {k + 1} of {len(models)}")
+            if result is None or bool(result.lost.any()):
+                flights.append(None)
+                continue
+            shown = shown or result
+            start = result.trajectory["state"][0, 0]
+            matter = states_that_matter(model, result.columns, start)
+            rerun = partial(evaluate, env, policy, scenario, seen)
+            flights.append(judge_tracking(result, matter, rerun))
+        return cls(tuple(flights), shown, within=within, seconds=scenario.length(plan))
+
     def __repr__(self) -> str:
         kept = f"promised={self.promised}, controlled={self.controlled}, {len(self.flights)} models"
         return f"Forecast({kept}; summary() says what they show)"
@@ -106,42 +147,3 @@ class Forecast:
         judged: dict[str, Any] = {"promised": self.promised, "controlled": self.controlled, "within": self.within}
         judged |= {"sentence": self.summary()}
         return {"models": len(flights), **judged, "flights": flights, "findings": records(self.findings)}
-
-
-def predict(
-    models: Sequence[System],
-    plan: ControlEnv,
-    policy: Policy,
-    scenario: Scenario,
-    sensing: Sensing | None = None,
-    within: float = WITHIN,
-) -> Forecast:
-    """Fly a controller on models in the place of the plant.
-
-    A model with an attribute `delay` [s] gets its inputs so much later.
-
-    Args:
-        models: Models that the plan has not seen.
-        plan: Environment that was planned in: task, control period and stops are its own.
-        policy: Policy to fly.
-        scenario: Situation to fly in.
-        sensing: Sensors and observer through which the policy sees a plant.
-        within: Mean absolute error at the end that is asked for, in target ranges.
-    """
-    flights: list[TrackingCriteria | None] = []
-    shown: Evaluation | None = None
-    for k, model in enumerate(models):
-        env = plan.with_system(model, torch.float64)
-        env.delay = float(getattr(model, "delay", 0.0))
-        result: Evaluation | None = None
-        with suppress(Diverged):
-            seen = None if sensing is None else sensing.on(env, sensing.rng)
-            result = evaluate(env, policy, scenario, seen, f"flights on model {k + 1} of {len(models)}")
-        if result is None or bool(result.lost.any()):
-            flights.append(None)
-            continue
-        shown = shown or result
-        start = result.trajectory["state"][0, 0]
-        matter, rerun = states_that_matter(model, result.columns, start), partial(evaluate, env, policy, scenario, seen)
-        flights.append(judge_tracking(result, matter, rerun))
-    return Forecast(tuple(flights), shown, within=within, seconds=scenario.length(plan))

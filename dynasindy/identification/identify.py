@@ -114,6 +114,34 @@ class Identified(LogFit):
     metrics: dict[str, dict[str, float]]
     forecasts: ForecastErrors | None = None
 
+    @classmethod
+    def of(cls, model: SindyModel, source: Source) -> Identified:
+        """Fit a model and predict the validation data: open loop, and from many start times.
+
+        Args:
+            model: what to fit.
+            source: the data.
+
+        Raises:
+            ValueError: It refuses the data.
+        """
+        fit = fit_log(model, source)
+        model, source = fit.model, fit.source
+        report_progress("prediction of the validation data")
+        validation, names = source.validation, source.signature.state_names
+        substeps = model.substeps(validation.dt)
+        predicted = open_loop(model, with_start_states(model, validation), substeps)
+        missing = validation.x_next.isnan().all(0).tolist()
+        seen = [(name, i) for i, (name, gaps) in enumerate(zip(names, missing, strict=True)) if not gaps]
+        errors = {"open_loop_nrmse": nrmse(predicted, validation)}
+        if not bool(validation.x.isnan().any()):
+            errors["one_step_error"] = one_step_error(model, delay_inputs(validation, model.delay), substeps)
+        metrics = {what: {name: float(e[i]) for name, i in seen} for what, e in errors.items()}
+        forecasts = forecast_errors(model, source.training, validation)
+        if forecasts is not None:
+            metrics |= verdict.errors(forecasts, source.signature)
+        return cls(model, source, fit.report, predicted, metrics, forecasts)
+
     @property
     def quiet(self) -> list[Finding]:
         """Which states the data are too quiet to tell of, and what to move."""
@@ -280,34 +308,6 @@ def identify(
     found = fit_log(model, source)
     found.model.findings = (*before, *found.report.findings, *found.content)
     return found.model
-
-
-def identify_source(model: SindyModel, source: Source) -> Identified:
-    """Fit a model and predict the validation data: open loop, and from many start times.
-
-    Args:
-        model: what to fit.
-        source: the data.
-
-    Raises:
-        ValueError: It refuses the data.
-    """
-    fit = fit_log(model, source)
-    model, source = fit.model, fit.source
-    report_progress("prediction of the validation data")
-    validation, names = source.validation, source.signature.state_names
-    substeps = model.substeps(validation.dt)
-    predicted = open_loop(model, with_start_states(model, validation), substeps)
-    missing = validation.x_next.isnan().all(0).tolist()
-    seen = [(name, i) for i, (name, gaps) in enumerate(zip(names, missing, strict=True)) if not gaps]
-    errors = {"open_loop_nrmse": nrmse(predicted, validation)}
-    if not bool(validation.x.isnan().any()):
-        errors["one_step_error"] = one_step_error(model, delay_inputs(validation, model.delay), substeps)
-    metrics = {what: {name: float(e[i]) for name, i in seen} for what, e in errors.items()}
-    forecasts = forecast_errors(model, source.training, validation)
-    if forecasts is not None:
-        metrics |= verdict.errors(forecasts, source.signature)
-    return Identified(model, source, fit.report, predicted, metrics, forecasts)
 
 
 def before_fit(model: SindyModel, source: Source) -> list[Finding]:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from dynasindy.systems.steps import between
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+
+    from dynasindy.systems.base import Signature
 
 
 @dataclass(frozen=True)
@@ -54,6 +60,27 @@ class Transitions:
             )
         if not self.dt > 0:
             raise ValueError(f"Transitions got dt = {self.dt} s; allowed is dt > 0: give the sampling time")
+
+    @classmethod
+    def from_periods(cls, rows: TensorDictBase, log_dt: float, among: Tensor | None = None) -> Transitions:
+        """Return the logged samples of real control periods as transitions, in float64.
+
+        Of a plant behind sensors these are the measured samples, NaN where nothing was measured.
+        Periods in which a mechanical stop was touched are left out: they are not smooth dynamics.
+
+        Args:
+            rows: Control periods `(T,)` in the order of time, with `state` or, behind sensors, `measurement`,
+                `action`, ("next", "samples") and ("next", "at_stop").
+            log_dt: Time between samples [s].
+            among: Which of these periods to return, bool `(T,)`; all if omitted.
+
+        Returns:
+            Up to `T * substeps` transitions.
+        """
+        samples, free = rows["next", "samples"].double(), ~rows["next", "at_stop"].reshape(-1)
+        start = rows["measurement"] if "measurement" in set(rows.keys()) else rows["state"]
+        logged = cls.from_samples(start.double(), rows["action"].double(), samples, log_dt)
+        return logged.select((free if among is None else free & among).repeat_interleave(logged.substeps))
 
     @classmethod
     def from_trajectory(cls, x: Tensor, u: Tensor, dt: float) -> Transitions:
@@ -164,6 +191,36 @@ class Transitions:
         """
         after, first = read(self.x_next), read(self.x)
         return replace(self, x=torch.where(self.begins().unsqueeze(-1), first, after.roll(1, 0)), x_next=after)
+
+    def disturbed(
+        self, level: float | Mapping[str, float], seed: int, signature: Signature | None = None
+    ) -> Transitions:
+        """Return the recording with white measurement noise; a state that two rows share gets one error.
+
+        Args:
+            level: standard deviation of the noise: one number, relative to that of each state, or by the name of a
+                state in its unit.
+            seed: seed of the noise.
+            signature: names of the states, for noise by name.
+
+        Returns:
+            The recording as a sensor would have logged it.
+
+        Raises:
+            ValueError: noise is given of what is no state.
+        """
+        scale = self.x_next.std(0)
+        if isinstance(level, Mapping):
+            assert signature is not None
+            scale = torch.zeros_like(scale)
+            for name, std in level.items():
+                scale[signature.state_index(name, "data.noise")] = std
+            level = 1.0
+        scale = level * scale
+        if level == 0 or not bool(scale.any()):
+            return self
+        generator = torch.Generator().manual_seed(seed)
+        return self.observed(lambda x: x + scale * torch.randn(x.shape, generator=generator, dtype=x.dtype))
 
     def segment_starts(self) -> Tensor:
         """Return the row at which the segment of each row begins, `(N,)`."""

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from benchmarks.common import RESULTS, EquationSystem, commit
 from benchmarks.pysindy_regression import Score, best_threshold, score, smoothed_rows, stlsq, weak_rows
-from dynasindy.envs.rollout_data import disturb, record_plant
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Aprbs, Chirp, Excitation
 from dynasindy.safe_io import Row, read_rows, write_rows
 from dynasindy.sindy import Refinement, Regression, SindyModel
@@ -111,7 +111,7 @@ def noisy(seeds: int) -> list[Row]:
     parameters = Parameters.where(truth != 0)
     for seed, clean in enumerate(xi_recordings(100.0, 0.01, range(seeds))):
         sigma = 1e-3 * clean.x_next.std(0)
-        data = disturb(clean, 1e-3, 1000 + seed)
+        data = clean.disturbed(1e-3, 1000 + seed)
         model = SindyModel(Xi().signature, "paper_table", Regression("bic"), Refinement("auto"))
         model.fit(data)
         scores.append(score(model.coefficients, truth))
@@ -274,7 +274,7 @@ def textbook(case: Experiment, seeds: int) -> list[Row]:
     library, truth = case.library(), case.truth()
     recordings, rows = case.clean(seeds), []
     for level in LEVELS:
-        data = [disturb(clean, level, 1000 + seed) for seed, clean in enumerate(recordings)]
+        data = [clean.disturbed(level, 1000 + seed) for seed, clean in enumerate(recordings)]
         where = f"noise {100 * level:g} %"
         rows += _ours(library, truth, level, recordings, data, where)
         rows += _theirs(library, truth, data, where)

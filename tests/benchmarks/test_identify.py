@@ -8,7 +8,6 @@ from benchmarks import identify, pysindy_regression
 from benchmarks.identify import TEXTBOOK, cramer_rao
 from benchmarks.pysindy_regression import best_threshold, smoothed_rows, weak_rows
 
-from dynasindy.envs.rollout_data import disturb
 from dynasindy.safe_io import read_rows
 from dynasindy.sindy.library import CONSTANT, Library, variable
 from dynasindy.systems.base import Signature
@@ -95,7 +94,7 @@ def test_rows_for_pysindy_obey_the_equations():
     case = TEXTBOOK["van_der_pol"]
     clean, truth = case.clean(1)[0], case.truth()
     smoothed = smoothed_rows(case.library(), clean, 9)  # it rounds off where the input jumps
-    for rows, limit in ((smoothed, 0.2), (weak_rows(case.library(), disturb(clean, 1e-4, 0)), 0.05)):
+    for rows, limit in ((smoothed, 0.2), (weak_rows(case.library(), clean.disturbed(1e-4, 0)), 0.05)):
         error = (rows[1] - rows[0] @ truth).norm(dim=0) / rows[1].norm(dim=0)
         assert bool((error < limit).all()), error
     assert torch.equal(smoothed_rows(case.library(), clean, 0)[0], case.library()(clean.x, clean.u))

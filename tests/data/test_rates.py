@@ -8,7 +8,7 @@ import torch
 
 from dynasindy.data.columns import Column
 from dynasindy.data.rates import check_rates, require_consistent_rates
-from dynasindy.envs.rollout_data import disturb, record_plant
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Chirp, Multisine
 from dynasindy.findings import LogError, weak
 from dynasindy.systems import Pendulum, Signature, Tras, Xi
@@ -162,7 +162,7 @@ def test_no_simulated_plant_is_told(plant):
     for signal in (Chirp(system.signature.n_u, 10.0), Multisine(system.signature.n_u, duration=10.0, dt=0.05, seed=1)):
         exact = record_plant(system, signal.samples(0.01), 0.01, substeps=2)
         for noise in (0.0, 0.02, 0.2):
-            assert mismatched(disturb(exact, noise, 0), system.signature) == []
+            assert mismatched(exact.disturbed(noise, 0), system.signature) == []
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.2])

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynasindy.data.table import read_columns
+from dynasindy.data.table import Table
 
 
 def write(folder: Path, text: str) -> Path:
@@ -15,17 +15,17 @@ def write(folder: Path, text: str) -> Path:
 
 
 def test_cells_headings_and_lines_are_those_of_the_file(tmp_path):
-    table = read_columns(write(tmp_path, "a [m],b,c\n1,2,3\n\n4,,x\n7\n")).select(["c", "a"])
+    table = Table.read(write(tmp_path, "a [m],b,c\n1,2,3\n\n4,,x\n7\n")).select(["c", "a"])
     assert table.headings == ["c", "a [m]"] and table.frame.index.tolist() == [2, 4, 5]
     assert np.array_equal(table.frame, [[3, 1], [math.nan, 4], [math.nan, 7]], equal_nan=True)
 
 
 def test_text_in_a_column_of_numbers_is_told_with_its_line(tmp_path):
     """What is empty or nan was not measured, and is no text."""
-    table = read_columns(write(tmp_path, "time,a [m],b\n0,1,5\n1,off,nan\n2,,6\n3,ERR 4,7\n4,1,2\n"))
+    table = Table.read(write(tmp_path, "time,a [m],b\n0,1,5\n1,off,nan\n2,,6\n3,ERR 4,7\n4,1,2\n"))
     table = table.select(["time", "a", "b"])
     assert {heading: (w.line, w.text, w.count) for heading, w in table.words.items()} == {"a [m]": (3, "off", 2)}
-    assert read_columns(write(tmp_path, "time,a\n2024-02-28 23:59:59,1\n")).select(["time", "a"]).words == {}
+    assert Table.read(write(tmp_path, "time,a\n2024-02-28 23:59:59,1\n")).select(["time", "a"]).words == {}
 
 
 @pytest.mark.parametrize(
@@ -52,13 +52,13 @@ def test_text_in_a_column_of_numbers_is_told_with_its_line(tmp_path):
     ],
 )
 def test_headings_are_found_below_a_title_above_units_and_between_any_separators(tmp_path, text, headings, lines):
-    table = read_columns(write(tmp_path, text))
+    table = Table.read(write(tmp_path, text))
     assert list(table.headings) == headings.split("," if "," in headings else None)
     assert table.frame.index.tolist() == lines
 
 
 def test_a_quote_within_a_value_is_a_letter(tmp_path):
-    table = read_columns(write(tmp_path, 'a,pipe\n1,5" long\n2,6 long\n')).select(["a"])
+    table = Table.read(write(tmp_path, 'a,pipe\n1,5" long\n2,6 long\n')).select(["a"])
     assert table.frame.index.tolist() == [2, 3]
 
 
@@ -75,17 +75,17 @@ def test_a_quote_within_a_value_is_a_letter(tmp_path):
 )
 def test_what_is_no_table_is_refused_at_its_line(tmp_path, text, said):
     with pytest.raises(ValueError, match=r".") as error:
-        read_columns(write(tmp_path, text)).select(["a"])
+        Table.read(write(tmp_path, text)).select(["a"])
     assert said in str(error.value) and str(tmp_path) in str(error.value) and "\n" not in str(error.value)
 
 
 def test_dates_of_the_time_column_become_seconds(tmp_path):
     """Over midnight, with fractions and a zone; of another column they are no numbers."""
     text = "time,a\n2024-02-28 23:59:59.50,1\n2024-02-29T00:00:00.25,2\n2024-02-29 01:00:01+01:00,3\n"
-    table = read_columns(write(tmp_path, text)).select(["time", "a"])
+    table = Table.read(write(tmp_path, text)).select(["time", "a"])
     assert np.diff(table.column("time")) == pytest.approx([0.75, 0.75], abs=1e-6)
     with pytest.raises(ValueError, match="words"):
-        read_columns(write(tmp_path, text)).select(["a", "time"])
+        Table.read(write(tmp_path, text)).select(["a", "time"])
 
 
 @pytest.mark.parametrize(
@@ -99,6 +99,6 @@ def test_dates_of_the_time_column_become_seconds(tmp_path):
 def test_the_end_of_a_name_is_its_unit_where_the_name_stays_its_own(tmp_path, headings, plain):
     count = len(plain)
     text = "\n".join([headings, *(",".join(map(str, range(k, k + count))) for k in range(3))])
-    assert list(read_columns(write(tmp_path, text)).headings) == plain
-    assert read_columns(tmp_path / "log.csv").frame.to_numpy().tolist() == [list(range(k, k + count)) for k in range(3)]
-    assert read_columns(tmp_path / "log.csv").select(headings.split(",")).headings == plain
+    assert list(Table.read(write(tmp_path, text)).headings) == plain
+    assert Table.read(tmp_path / "log.csv").frame.to_numpy().tolist() == [list(range(k, k + count)) for k in range(3)]
+    assert Table.read(tmp_path / "log.csv").select(headings.split(",")).headings == plain

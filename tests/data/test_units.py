@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dynasindy.data.headings import in_radians
-from dynasindy.data.table import read_columns
+from dynasindy.data.table import Table
 from dynasindy.findings import LogError
 from dynasindy.identification.identify import LoggedData
 
@@ -37,7 +37,7 @@ def test_a_turn_is_two_pi_in_any_unit(unit, becomes, turn):
 )
 def test_a_sign_at_the_end_is_the_unit(tmp_path, heading, name, unit):
     (tmp_path / "log.csv").write_text("\n".join([f"time,{heading}", "0,1", "1,3"]))
-    assert read_columns(tmp_path / "log.csv").headings == ["time", f"{name} [{unit}]" if unit else name]
+    assert Table.read(tmp_path / "log.csv").headings == ["time", f"{name} [{unit}]" if unit else name]
 
 
 def written(path, headings):

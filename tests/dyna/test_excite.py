@@ -14,11 +14,11 @@ from dynasindy.dyna.excite import (
     excite,
 )
 from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
-from dynasindy.envs.rollout_data import transitions
 from dynasindy.excitation import Multisine
 from dynasindy.findings import note, weak
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.systems import Pendulum, Signature, System, Xi
+from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 
 BOUNDS = {"theta": 0.5, "p": 2.0}
@@ -216,7 +216,7 @@ def test_periods_at_a_stop_are_told_as_they_are_left_out():
     rows = excite(experiment)
     assert finding("excitation.stops", experiment, rows) is None
     rows["next", "at_stop"][[3, 4, 17]] = True
-    fine = transitions(rows, 0.01)
+    fine = Transitions.from_periods(rows, 0.01)
     assert finding("excitation.stops", experiment, rows) == note("excitation.stops", count=3, total=40, much=False)
     assert len(fine) == (40 - 3) * rows["next", "samples"].shape[-2]
     # What would leave more data is said only where much is lost.

@@ -13,11 +13,11 @@ from dynasindy.dyna.excite import _interact
 from dynasindy.dyna.experiment import LoopSettings, Recipe
 from dynasindy.dyna.refit import _acting, _fit, _held_out_windows, first_fit, refit
 from dynasindy.envs import ControlEnv
-from dynasindy.envs.rollout_data import transitions
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ModelError, NoPlanning, replay_error
 from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.systems import Diverged, Xi
+from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking
 
 
@@ -191,4 +191,4 @@ def test_a_refit_that_is_taken_back_leaves_its_data_to_the_next(monkeypatch):
     assert not refit(parts, LoopSettings(1), rollout).kept
     assert torch.equal(model.coefficients, kept)
     first_fit(parts, rollout)
-    assert model.samples == before + len(transitions(rollout, parts.model_env.log_dt))
+    assert model.samples == before + len(Transitions.from_periods(rollout, parts.model_env.log_dt))

@@ -8,15 +8,11 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
 from dynasindy.envs import ControlEnv
-from dynasindy.envs.rollout_data import (
-    disturb,
-    measurements_and_inputs,
-    record_plant,
-    transitions,
-)
+from dynasindy.envs.rollout_data import measurements_and_inputs, record_plant
 from dynasindy.systems import Tras, rk4
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.steps import Stops
+from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Step, Tracking
 
 
@@ -75,14 +71,14 @@ def test_samples_that_touch_a_stop_are_left_out_and_split_the_recording():
 def test_noise_does_not_leak_over_a_gap():
     clean = record_plant(Oscillator(), inputs(60), 0.05)
     clean = clean.select(torch.arange(60) != 30)
-    noisy = disturb(clean, 0.1, seed=3)
+    noisy = clean.disturbed(0.1, seed=3)
     assert not torch.equal(noisy.x[30] - clean.x[30], noisy.x_next[29] - clean.x_next[29])
-    assert disturb(clean, 0.0, seed=3) is clean
+    assert clean.disturbed(0.0, seed=3) is clean
 
 
 def test_noise_is_its_seeds_numbers_times_the_spread_of_each_state():
     clean = record_plant(Oscillator(), inputs(20), 0.05)
-    noisy, rng = disturb(clean, 0.2, seed=7), torch.Generator().manual_seed(7)
+    noisy, rng = clean.disturbed(0.2, seed=7), torch.Generator().manual_seed(7)
     after, first = (torch.randn(20, 2, generator=rng, dtype=torch.float64) for _ in range(2))
     spread = torch.from_numpy(np.std(clean.x_next.numpy(), 0, ddof=1))
     torch.testing.assert_close(noisy.x_next, clean.x_next + 0.2 * spread * after)
@@ -110,7 +106,7 @@ def test_each_period_gives_its_own_rows_inputs_and_flag():
         },
         [4],
     )
-    data = transitions(rows, 0.025)
+    data = Transitions.from_periods(rows, 0.025)
     assert data.x.flatten().tolist() == [0, 1, 4, 5] and data.x_next.flatten().tolist() == [1, 2, 5, 6]
     expected = torch.tensor([[0.1, -0.1], [0.1, -0.1], [0.3, -0.3], [0.3, -0.3]])
     assert torch.equal(data.u.float(), expected) and data.u.dtype == data.x.dtype == data.x_next.dtype == torch.float64
@@ -118,7 +114,7 @@ def test_each_period_gives_its_own_rows_inputs_and_flag():
 
 
 def test_every_logged_sample_becomes_a_transition_of_the_plant():
-    data = transitions(rollout([0.2, 0.4], 20), 0.01)
+    data = Transitions.from_periods(rollout([0.2, 0.4], 20), 0.01)
     assert len(data) == 100 and data.dt == 0.01
     assert torch.allclose(rk4(Tras(), data.x, data.u, 0.01), data.x_next, rtol=1e-12)
 
@@ -127,7 +123,7 @@ def test_periods_at_a_stop_are_left_out_and_break_the_segment():
     rows = rollout([1.0, 1.0], 80)
     at_stop = rows["next", "at_stop"].flatten()
     assert 0 < at_stop.sum() < 80
-    data = transitions(rows, 0.01)
+    data = Transitions.from_periods(rows, 0.01)
     assert len(data) == 5 * int((~at_stop).sum())
     follows = data.segment[1:] == data.segment[:-1]
     assert torch.equal(data.x[1:][follows], data.x_next[:-1][follows])

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from dynasindy.dyna.recorder import judge_run
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation import forecast as module
-from dynasindy.evaluation.forecast import Forecast, predict
+from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.tracking_criteria import TrackingCriteria
 from dynasindy.findings import weak, wrong
@@ -87,7 +87,7 @@ def test_each_model_is_flown_in_the_place_of_the_plant():
         return tensordict.set("action", torch.full((*tensordict.batch_size, 1), 0.2))
 
     heavier = Pendulum(max_torque=10.0)
-    found = predict([Exploding(), plant, heavier], env, constant, Scenario("step", episodes=1, seconds=30.0))
+    found = Forecast.of([Exploding(), plant, heavier], env, constant, Scenario("step", episodes=1, seconds=30.0))
     assert found.flights[0] is None
     assert found.flights[1].share["theta"] < 1e-3
     off = target - float(torch.asin(torch.tensor(10 * 0.2 / 9.81)))
@@ -113,7 +113,7 @@ def test_a_state_that_nothing_depends_on_may_run_on():
     def constant(tensordict):
         return tensordict.set("action", torch.full((*tensordict.batch_size, 1), 0.5))
 
-    found = predict([car], env, constant, Scenario("step", episodes=1, seconds=30.0))
+    found = Forecast.of([car], env, constant, Scenario("step", episodes=1, seconds=30.0))
     assert found.promised
     assert list(found.flights[0].idle) == ["theta"]
 
@@ -149,7 +149,7 @@ def test_the_inputs_of_a_model_act_as_late_as_it_says(delay):
         return tensordict.set("action", torch.from_numpy(inputs)[tensordict["step_count"]].float())
 
     still = Scenario("step", Step([[0.3]]), seconds=2.0)
-    shown = predict([plant], env, policy, still).evaluation
+    shown = Forecast.of([plant], env, policy, still).evaluation
     begin = shown.trajectory["state"][0, 0].numpy()
     np.testing.assert_allclose(begin, 0.0, atol=1e-12)
     np.testing.assert_allclose(shown.trajectory["state"][0].numpy(), flown(delay, inputs), atol=1e-4)
@@ -193,7 +193,7 @@ def test_what_has_to_come_to_rest_is_asked_where_a_flight_begins(monkeypatch):
         plant.signature, Step([[0.3]]), ("theta",), ("Omega",), TrackingReward((4.0,)), start={"theta": -0.2}
     )
     monkeypatch.setattr(module, "states_that_matter", lambda model, columns, start: asked.append(start) or [0, 1])
-    predict(
+    Forecast.of(
         [plant], ControlEnv(plant, task), lambda td: td.set("action", torch.zeros(1, 1)), Scenario("step", seconds=1.0)
     )
     assert len(asked) == 1 and asked[0].tolist() == pytest.approx([-0.2, 0.0], abs=1e-6)

@@ -10,7 +10,7 @@ import torch
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.findings import LogError, note
-from dynasindy.identification.identify import LoggedData, identify_source
+from dynasindy.identification.identify import Identified, LoggedData
 from dynasindy.identification.source import Source
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Pendulum, Signature, Tras
@@ -33,7 +33,7 @@ def _identified(source):
     model = SindyModel(
         source.signature, ["theta", "Omega", "u", "sin(theta)"], Regression("bic"), Refinement("one_step")
     )
-    return identify_source(model, source)
+    return Identified.of(model, source)
 
 
 def test_the_pendulum_is_found_and_predicts_unseen_inputs():
@@ -50,7 +50,7 @@ def test_of_an_exact_log_nothing_stays_unexplained_and_of_a_poor_library_what_si
     found = _identified(source)
     assert "unexplained" in found.to_text()
     poor = SindyModel(source.signature, ["theta", "Omega", "u"], refinement=Refinement("one_step"))
-    found, data = identify_source(poor, source), source.training
+    found, data = Identified.of(poor, source), source.training
     left = (moved(found.model, data.x, data.u, data.dt, 4) - data.x_next).norm(dim=0)
     parts = (left / (data.x_next - data.x).norm(dim=0)).tolist()
     assert list(found.report.residual.values()) == pytest.approx(parts, rel=1e-3) and parts[1] > 1e-3
@@ -162,7 +162,7 @@ def test_a_rate_of_the_plant_needs_no_column_and_is_estimated_with_the_model(tmp
     refinement = Refinement("trajectory")
     library = ["theta", "Omega", "u", "sin(theta)"]
     model = SindyModel(source.signature, library, Regression("bic"), refinement, known={"theta": "Omega"})
-    found = identify_source(model, source)
+    found = Identified.of(model, source)
     assert found.model.equations(3)[1] == "Omega' = -0.5 Omega + 12 u - 9.81 sin(theta)"
     assert "fit.trajectories" in codes(found.report.findings) and codes(found.verdict) == ["model.predicts"]
     assert set(found.metrics["open_loop_nrmse"]) == {"theta"} and not any(
@@ -181,7 +181,7 @@ def test_no_verdict_is_given_on_a_log_that_is_too_quiet_to_tell():
         angle = (amplitude * torch.sin(t) / step).round() * step
         log = Transitions.from_trajectory(angle.unsqueeze(-1), torch.cos(t)[:-1].unsqueeze(-1), 0.02)
         model = SindyModel(signature, ["1", "u", "angle"])
-        return identify_source(
+        return Identified.of(
             model,
             Source(signature, log.select(torch.arange(1000) < 750), log.select(torch.arange(1000) >= 750)),
         )
@@ -216,5 +216,5 @@ def test_a_motion_that_is_fast_against_the_samples_does_not_run_away_in_the_pred
     data = Transitions(x[:-1], u.double(), x[1:], dt, torch.zeros(len(u), dtype=torch.long))
     rows = torch.arange(len(u))
     source = Source(plant, data.select(rows < 400), data.select(rows >= 400))
-    found = identify_source(SindyModel(plant, ["v", "i", "u"], Regression("bic"), Refinement("one_step")), source)
+    found = Identified.of(SindyModel(plant, ["v", "i", "u"], Regression("bic"), Refinement("one_step")), source)
     assert max(found.metrics["open_loop_nrmse"].values()) < 0.01 > max(found.metrics["one_step_error"].values())

@@ -8,7 +8,7 @@ import torch
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.excitation import Chirp
 from dynasindy.findings import Finding, note
-from dynasindy.identification.identify import identify_source
+from dynasindy.identification.identify import Identified
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Pendulum
 
@@ -17,7 +17,7 @@ EXCITATION = partial(Chirp, duration=10.0, amplitude=0.6)
 
 def test_everything_is_written(tmp_path):
     source = Simulated(validation_seconds=2.0).load(Pendulum(), EXCITATION)
-    found = identify_source(SindyModel(source.signature, ["u"], Regression("bic"), Refinement("one_step")), source)
+    found = Identified.of(SindyModel(source.signature, ["u"], Regression("bic"), Refinement("one_step")), source)
     before = [note("log.gaps", count=1)]
     found.save(tmp_path / "run", before)
     names = {p.name for p in (tmp_path / "run").iterdir()}

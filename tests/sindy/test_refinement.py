@@ -8,7 +8,6 @@ import torch
 from benchmarks.identify import TEXTBOOK
 from scipy.linalg import expm
 
-from dynasindy.envs.rollout_data import disturb
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, variable
 from dynasindy.sindy.reconstruction import RegressionData
@@ -141,7 +140,7 @@ def test_a_long_delay_is_told_where_single_steps_are_mostly_noise():
 def test_functions_that_noise_hides_from_single_steps_are_found():
     """A fifth of each state is noise, beside which no function explains a single step of 20 ms."""
     case = TEXTBOOK["van_der_pol"]
-    data, library = disturb(case.clean(1)[0], 0.2, 1000), case.library()
+    data, library = case.clean(1)[0].disturbed(0.2, 1000), case.library()
     first = library, case.truth()
     alone = Refinement("one_step").run(first, Constraints.build(library, {}, {}, {}), RegressionData.of(data, {}))
     assert not alone.coefficients.any()
