@@ -344,11 +344,10 @@ PERIODS = {
 def _margin(form: str) -> Callable[..., str]:
     """Return what says a margin, its figure being in `form`."""
     least, limit = form.format("{value:.4g}"), form.format("{limit:g}")
-    how = "{large:?(in large movements, which dry friction hardly damps)}"
 
     def _said(value: float, **facts: Any) -> str:
         first = f"the least is {least}" if math.isfinite(value) else "without limit"
-        text = _fill(f"{first} of {{input}} at ({{target:list}}){how}; threshold: {limit}", {"value": value, **facts})
+        text = _fill(f"{first} of {{input}} at ({{target:list}}); threshold: {limit}", {"value": value, **facts})
         return re.sub(r"(?<![\d.])1 control periods", "1 control period", text)
 
     return _said
@@ -363,7 +362,7 @@ UNSTABLE = (
     "NOT stable at {unstable} of {targets} targets of {outputs:and}, at ({target:list}) for one, with no rest at "
     "{restless} of them; simulated there for {seconds:time}, {ends[output]} ends within {ends[error]:.3g} {ends[unit]} "
     "of its target, and {swing[output]} swings by {swing[error]:.3g} {swing[unit]} to either side (inf: it runs away, "
-    "or its swings grow), {swing[share]:percent} of its typical size, and {input} by {input_swing:.2g}; thresholds: "
+    "or its swings grow), {swing[share]:percent} of its target range, and {input} by {input_swing:.2g}; thresholds: "
     "spectral radius < 1, or swings of {swing_limit:percent}"
 )
 NOISE = "noise of the sensors moves {input} by {value:.3g} (standard deviation); threshold: {limit:g}"

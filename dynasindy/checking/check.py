@@ -11,21 +11,19 @@ import pydantic
 import torch
 from torch import Tensor
 
-from dynasindy.checking.closed_loop import ClosedLoop, LoopSimulation
+from dynasindy.checking.closed_loop import PERIODS, ClosedLoop, LoopSimulation
 from dynasindy.checking.linear_loop import Array, Margins, RestingLoop, find_rest, guess_rest, loop_margins
 from dynasindy.progress import reporting_as, track
 from dynasindy.safe_io import checked_class
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Ends
 
-PERIODS = 400
-"""Control periods of a flight whose length is not given, those of the paper's episodes; a slow plant gets more time."""
 DRAWN = 0.05
 """Largest share by which coefficients are drawn at random where the model does not tell how well it knows them."""
 WITHIN = f"each within {100 * DRAWN:g} % of itself, as the model tells no standard errors"
 """How they were drawn by that share."""
 TOLERANCE = 0.05
-"""Distance of a plant which has come back from where the loop rests [ranges of the output]."""
+"""Distance of a plant which has come back from where the loop rests [target ranges]."""
 AWAY = 3.0
 """Distance from the target beyond which what ends there has run away [target ranges, or ways to it if longer]."""
 LONGER = 5
@@ -58,7 +56,7 @@ class Settings:
     low: tuple[float, ...]
     high: tuple[float, ...]
     points: Annotated[int, pydantic.Field(ge=1, le=50)] = 3  # their number grows with the power of the outputs
-    seconds: Annotated[float, pydantic.Field(gt=0, le=1e5)] | None = None
+    seconds: Annotated[float, pydantic.Field(gt=0, lt=math.inf)] | None = None
     reach: Annotated[float, pydantic.Field(gt=0, le=1e5)] = 1.0
     grid: Annotated[int, pydantic.Field(ge=2, le=100)] = 11  # with whose square flights grow
     draws: Annotated[int, pydantic.Field(ge=0, le=10_000)] = 20
@@ -154,7 +152,6 @@ class Check:
         farthest: Number of the target that is farthest from there.
         rest: Where the loop rests at the targets.
         margins: Per target and input, at rest; none where the loop is not stable.
-        smooth: The same of large movements, which dry friction hardly damps; none of a plant without dry friction.
         noise: Per target, standard deviation of the inputs per unit of noise, `(n_u, n_x)`; none likewise.
         sensors: Standard deviation of the noise of each state's measurement, as the controller's file has it, `(n_x,)`.
         steps: Flights from `begin` to each target.
@@ -171,7 +168,6 @@ class Check:
     farthest: int
     rest: RestingLoop
     margins: list[list[Margins]]
-    smooth: list[list[Margins]]
     noise: list[Array | None]
     sensors: Array
     steps: LoopSimulation
@@ -194,10 +190,7 @@ class Check:
     def reach(self) -> Tensor:
         """Distance from the target of `drawn` beyond which what ends there has run away, `(n_r,)` [of the outputs]."""
         outputs = self.loop.task.outputs
-        low, high = self.settings.ends
-        extent = torch.maximum(high - low, (self.targets[self.farthest] - self.begin[outputs]).abs())
-        size = torch.tensor(self.loop.signature.x_scale, dtype=torch.float64)[outputs]
-        return AWAY * extent.where(extent > 0, size)
+        return AWAY * torch.maximum(self.loop.task.boxes(), (self.targets[self.farthest] - self.begin[outputs]).abs())
 
     def beginning(self) -> str:
         """Return in words where steps begin."""
@@ -231,7 +224,6 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
     good, farthest = rest.stable, int((targets - begin[loop.task.outputs]).square().sum(-1).argmax())
     rows = [rest.linear.row(k).decaying() if ok else None for k, ok in enumerate(good.tolist())]
     margins = [loop_margins(row) if row else [] for row in track("margins", rows, len(rows), "targets")]
-    smooth = rest.without_dry_friction(loop, targets)
     others, how = _variants(loop.model, settings.draws, settings.seed)
     sensors = None if loop.observer is None else loop.observer.sensors
     noise = torch.zeros(loop.signature.n_x) if sensors is None else sensors.variance(loop.signature).double()
@@ -248,7 +240,6 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         farthest,
         rest,
         margins,
-        [loop_margins(smooth.row(k).decaying()) if smooth and ok else [] for k, ok in enumerate(good.tolist())],
         [row.noise_gain() if row else None for row in rows],
         noise.where(noise.isfinite(), 0.0).sqrt().numpy(),
         steps,
@@ -283,7 +274,7 @@ def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: Resti
     flat = torch.cat([flat, x.to(flat).unsqueeze(0)])
     flights = loop.fly(flat, r.expand(len(flat), -1), seconds, "recovery from initial errors")
     left = replace(flights, r=flights.end[-1:]).steady_error  # from where a flight without an initial error ends
-    back = (left <= TOLERANCE * scale[task.outputs]).all(-1)[:-1].unflatten(0, (len(pairs), points, points))
+    back = (left <= TOLERANCE * task.boxes()).all(-1)[:-1].unflatten(0, (len(pairs), points, points))
     names, units, error = signature.state_names, signature.state_units, flights.steady_error[-1]
     return [
         Plane((names[a], names[b]), (units[a], units[b]), scale[a] * axis, scale[b] * axis, found, error)

@@ -34,6 +34,8 @@ from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, integrate, steps_needed
 from dynasindy.systems.steps import Rates, split_delay
 
+PERIODS = 400
+"""Control periods of a flight whose length is not given, those of the paper's episodes; a slow plant gets more time."""
 FINE = 1e-6
 """How far from each other a control period and one of steps half as long may end [ranges of a state]."""
 TRIED, AROUND = 256, 2.0
@@ -138,7 +140,7 @@ class ClosedLoop:
 
     Attributes:
         parts: Where each part of z stands.
-        scale: Range of each number of z, `(n,)`.
+        scale: Range of each number of z, `(n,)`; of an output that of its targets.
         pending: How many inputs of earlier periods still have to act.
 
     Raises:
@@ -158,7 +160,7 @@ class ClosedLoop:
         policy = copy.deepcopy(controller.policy)
         policy = policy.double() if isinstance(policy, torch.nn.Module) else policy
         self.law = ControlLaw(policy, controller.setup, self.observer, controller.integral, torch.float64)
-        ranges, n_u = torch.tensor(self.signature.x_scale, dtype=torch.float64), self.signature.n_u
+        ranges, n_u = self.task.state_ranges(), self.signature.n_u
         late = 0 if self.observer is None else self.observer.sensors.delay
         scales = {"x": ranges, "late": ranges.repeat(late), "pending": torch.ones(self.pending * n_u).double()}
         for name, shape in zip(Memory._fields, self.law.shapes, strict=True):

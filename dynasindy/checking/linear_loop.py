@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from scipy.linalg import eig, matrix_balance, solve_discrete_lyapunov
 from torch import Tensor
 
-from dynasindy.checking.closed_loop import ClosedLoop
+from dynasindy.checking.closed_loop import PERIODS, ClosedLoop
+from dynasindy.planning.margins import MOVEMENT
 from dynasindy.progress import report_progress
 from dynasindy.systems.equilibria import find_equilibria
 
 NUDGE = 1e-5
-"""Step of the differences [ranges]."""
+"""Step of the differences of Newton's method [ranges]."""
 NEWTON = 15
 """Newton steps at most."""
 LARGEST = 0.3
@@ -27,9 +28,9 @@ STILL = 1e-8
 """What a loop at rest may move in a control period [ranges]."""
 Array = NDArray[np.float64]
 
-NEUTRAL = 1e-8
-"""How far from the unit circle an eigenvalue may lie and be taken for one on it, as rounding moves it: what it belongs
-to neither grows nor dies out."""
+NEUTRAL = MOVEMENT / PERIODS
+"""How far from the unit circle an eigenvalue may lie and be taken for one on it: what it belongs to neither grows nor
+dies out by more than `MOVEMENT` of itself in a flight."""
 BOUNDLESS = 1e3
 """Inputs beyond their limits that a model may rest by."""
 RESTS = "where the loop rests"
@@ -111,7 +112,7 @@ class RestingLoop(NamedTuple):
         still: Whether a point of rest was found, bool `(rows,)`.
         error: Absolute error of the outputs there, `(rows, n_r)`; where there is none, its mean in the last seconds of
             a run.
-        linear: The loops linearised there.
+        linear: The loops linearised there, over movements of `MOVEMENT`.
     """
 
     z: Tensor
@@ -131,24 +132,6 @@ class RestingLoop(NamedTuple):
         z, covariance, u, still, error = (each[rows] for each in self[:-1])
         return RestingLoop(z, covariance, u, still, error, self.linear.row(rows.numpy()))
 
-    def without_dry_friction(self, loop: ClosedLoop, r: Tensor) -> Linear | None:
-        """Return the loops linearised here as large movements meet them, to which dry friction has no slope.
-
-        Args:
-            loop: The loop, of one plant.
-            r: References, `(rows, n_r)`.
-
-        Returns:
-            The linear loops; None of a plant whose equations have no kink that is steep at rest only.
-        """
-        model = loop.model
-        functions = ([factor.function for factor in each.factors] for each in model.library.features)
-        rubs = torch.tensor(["tanh" in each for each in functions])
-        if not bool(model.coefficients[rubs].any()):
-            return None
-        smooth = model.coefficients.masked_fill(rubs.unsqueeze(-1), 0.0)
-        return _linearise(loop.varied(smooth.unsqueeze(0)), self.z, self.covariance, r.double())[0].finite()
-
 
 def guess_rest(loop: ClosedLoop, r: Tensor) -> Tensor:
     """Return vectors near those at rest, `(rows, n)`: the plant where the model rests with its outputs at `r`.
@@ -167,11 +150,13 @@ def guess_rest(loop: ClosedLoop, r: Tensor) -> Tensor:
     return loop.at(x, loop.task.limit(u))
 
 
-def _linearise(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Linear, Tensor, Tensor]:
+def _linearise(
+    loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor, size: float = MOVEMENT
+) -> tuple[Linear, Tensor, Tensor]:
     """Return loops linearised at `z`, how far each moves from there in a period `(rows, n)`, and its commands."""
     n, n_u = loop.size, loop.signature.n_u
-    scale = torch.cat([loop.scale, torch.ones(n_u), torch.tensor(loop.signature.x_scale)]).double()
-    nudges = NUDGE * torch.diag(scale)
+    scale = torch.cat([loop.scale, torch.ones(n_u), loop.scale[loop.parts["x"]]]).double()
+    nudges = size * torch.diag(scale)
     points = torch.cat([torch.zeros_like(nudges[:1]), nudges, -nudges])
     around = points.expand(len(z), -1, -1)
     moved = loop.step(
@@ -183,7 +168,7 @@ def _linearise(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tu
     )
     out = torch.cat([moved.z, moved.u], -1)
     centre, forth, back = out.split([1, len(scale), len(scale)], 1)
-    slopes = ((forth - back) / (2 * NUDGE * scale.unsqueeze(-1))).mT.numpy()
+    slopes = ((forth - back) / (2 * size * scale.unsqueeze(-1))).mT.numpy()
     a, b, e = np.split(slopes[:, :n], [n, n + n_u], -1)
     c, _, f = np.split(slopes[:, n:], [n, n + n_u], -1)
     return Linear(loop.dt, a, b, c, e, f), centre[:, 0, :n] - z, centre[:, 0, n:]
@@ -225,7 +210,7 @@ def _newton(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple
     z, still, left = z.clone(), torch.zeros(len(z), dtype=torch.bool), torch.arange(len(z))
     for k in range(NEWTON):
         report_progress(RESTS, note=f"step {k + 1} of Newton's method")
-        linear, moved, _ = _linearise(loop.rows(left), z[left], covariance[left], r[left])
+        linear, moved, _ = _linearise(loop.rows(left), z[left], covariance[left], r[left], NUDGE)
         calm = ((moved / scale).abs() < STILL).all(-1)
         still[left] = calm
         sound = moved.isfinite().all(-1) & torch.from_numpy(np.isfinite(linear.a).all((-2, -1)))

@@ -16,6 +16,7 @@ from dynasindy.checking.closed_loop import ClosedLoop
 from dynasindy.checking.linear_loop import NEUTRAL, find_rest, loop_margins
 from dynasindy.control import Controller
 from dynasindy.findings import Finding, note, records, weak, wrong
+from dynasindy.planning.margins import MOVEMENT
 from dynasindy.sindy import SindyModel
 
 
@@ -28,8 +29,8 @@ class Thresholds:
         phase: Least phase margin [deg].
         delay: Least delay margin [control periods].
         disk: Least disk margin.
-        swing: Largest swing to either side where the loop is not stable [typical sizes of the outputs].
-        error: Largest steady error [typical sizes of the outputs].
+        swing: Largest swing to either side where the loop is not stable [target ranges].
+        error: Largest steady error [target ranges].
         recovered: Least share of initial errors from which the plant comes back.
         noise: Largest standard deviation of an input under the noise of the sensors.
         slew: Largest change of an input in a control period.
@@ -40,7 +41,7 @@ class Thresholds:
     phase: float = 30.0
     delay: float = 1.0
     disk: float = 0.5
-    swing: float = 0.01
+    swing: float = MOVEMENT
     error: float = TOLERANCE
     recovered: float = 0.9
     noise: float = 0.05
@@ -65,7 +66,6 @@ def check_record(found: Check) -> dict[str, Any]:
                 "steady_error": _named(outputs, found.steps.steady_error[k]),
                 "swing": None if stable else dict(zip((*outputs, *inputs), swings, strict=True)),
                 "margins": dict(zip(inputs, map(vars, found.margins[k]), strict=False)),
-                "margins_without_friction": dict(zip(inputs, map(vars, found.smooth[k]), strict=False)),
                 "noise_to_input": gain if gain is None else _named(inputs, [_named(states, row) for row in gain]),
                 "slew": _named(inputs, found.steps.slew[k]),
                 "saturated": _named(inputs, found.steps.saturated[k]),
@@ -117,7 +117,7 @@ def _finite(value: Any) -> Any:
 
 def unstable_targets(found: Check, thresholds: Thresholds | None = None) -> torch.Tensor:
     """Return at which targets a loop that is not stable leaves them, or swings more than is allowed, `(n_targets,)`."""
-    limits, size = thresholds or Thresholds(), _sizes(found)
+    limits, size = thresholds or Thresholds(), found.loop.task.boxes()
     small = (found.swings.outputs <= limits.swing * size) & (found.swings.error <= limits.error * size)
     return ~found.stable & ~small.all(-1)
 
@@ -152,12 +152,11 @@ def _judged(code: str, keeps: bool, **values: Any) -> Finding:
 
 
 def _largest_error(found: Check, errors: Tensor, limits: Thresholds) -> dict[str, Any]:
-    """Return the largest of errors `(rows, n_r)`, counted in typical sizes of the outputs, beside what it may be."""
-    signature, outputs = found.loop.signature, found.loop.task.outputs
-    ranged = (errors / _sizes(found)).amax(0)
+    """Return the largest of errors `(rows, n_r)`, counted in target ranges, beside what it may be."""
+    signature, sizes = found.loop.signature, found.loop.task.boxes()
+    ranged = (errors / sizes).amax(0)
     i = int(ranged.argmax())
-    state, value = outputs[i], float(errors[:, i].amax())
-    size = signature.x_scale[state]
+    state, value, size = found.loop.task.outputs[i], float(errors[:, i].amax()), float(sizes[i])
     return {
         "output": signature.state_names[state],
         "unit": signature.state_units[state],
@@ -166,12 +165,6 @@ def _largest_error(found: Check, errors: Tensor, limits: Thresholds) -> dict[str
         "limit": limits.error * size,
         "size": size,
     }
-
-
-def _sizes(found: Check) -> Tensor:
-    """Return the typical sizes of the outputs, `(n_r,)`."""
-    scale = found.loop.signature.x_scale
-    return torch.tensor([scale[i] for i in found.loop.task.outputs], dtype=torch.float64)
 
 
 def _target(found: Check, k: int) -> list[float]:
@@ -206,14 +199,9 @@ def _time_constant(radius: float, dt: float) -> float:
 
 
 def _margins(found: Check, limits: Thresholds) -> list[Finding]:
-    """Return the least margins over inputs and targets, of small and of large movements."""
+    """Return the least margins over inputs and targets."""
     dt, names = found.loop.dt, found.loop.signature.input_names
-    rows = [
-        (k, i, large, margins)
-        for large, every in ((False, found.margins), (True, found.smooth))
-        for k, target in enumerate(every)
-        for i, margins in enumerate(target)
-    ]
+    rows = [(k, i, margins) for k, target in enumerate(found.margins) for i, margins in enumerate(target)]
     kinds = {
         "gain_margin": ([m.gain for *_, m in rows], limits.gain),
         "gain_reduction": ([1 / m.lower if m.lower else math.inf for *_, m in rows], limits.gain),
@@ -223,8 +211,8 @@ def _margins(found: Check, limits: Thresholds) -> list[Finding]:
     }
     findings = []
     for code, (values, limit) in kinds.items():
-        k, i, large, _ = rows[row := int(np.argmin(values))]
-        where = {"input": names[i], "target": _target(found, k), "large": large, "dt": dt}
+        k, i, _ = rows[row := int(np.argmin(values))]
+        where = {"input": names[i], "target": _target(found, k), "dt": dt}
         where["weak"] = len({row[0] for row, value in zip(rows, values, strict=True) if value < limit})
         findings.append(_judged(code, values[row] >= limit, value=values[row], limit=limit, **where))
     return findings

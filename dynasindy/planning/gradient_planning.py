@@ -261,7 +261,7 @@ class GradientPlanning(Planner):
             for each in episodes:
                 each.vary(strength)
             if strength is not None:
-                self.margin_cost = MarginCost.of(self.env, rests)
+                self.margin_cost = MarginCost(self.env, rests)
                 rows.strength = strength.ends(len(rows.x))
                 # A policy of an earlier phase is given up for a better one only.
                 best = self.test() if best > -math.inf or not first else best

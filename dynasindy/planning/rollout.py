@@ -197,7 +197,7 @@ def backward(env: ControlEnv, network: Network, rows: Rows, window: Window) -> T
             return reward
         # In chunks of periods.
         parts = zip(*(part.split(CHUNK) for part in (window.states[:-1], window.params, window.times[:-1])))
-        actions, gains = zip(*(policy_gain(env, network, *part) for part in parts), strict=True)
+        actions, gains = zip(*(_policy_gain(env, network, *part) for part in parts), strict=True)
         whole = _adjoint(a, b, cost, effort, rows.late, torch.cat(gains))
         for acted, slopes in zip(actions, whole.split(CHUNK), strict=True):
             torch.autograd.backward(acted, slopes)
@@ -218,13 +218,11 @@ def sensitivities(env: ControlEnv, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor
     return torch.stack([row[0] for row in rows], -2), torch.stack([row[1] for row in rows], -2)
 
 
-def policy_gain(
-    env: ControlEnv, network: Network, x: Tensor, params: Tensor, t: Tensor, graph: bool = False
-) -> tuple[Tensor, Tensor]:
-    """Return a policy's actions with their graph, and K = du/dx, `(*batch, n_u, n_x)`, if asked with its graph."""
+def _policy_gain(env: ControlEnv, network: Network, x: Tensor, params: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
+    """Return a policy's actions with their graph, and K = du/dx, `(*batch, n_u, n_x)`."""
     x = x.detach().requires_grad_()
     u = network(env.task.observation(x, params, t))
-    slopes = [torch.autograd.grad(each.sum(), x, retain_graph=True, create_graph=graph)[0] for each in u.unbind(-1)]
+    slopes = [torch.autograd.grad(each.sum(), x, retain_graph=True)[0] for each in u.unbind(-1)]
     return u, torch.stack(slopes, -2)
 
 

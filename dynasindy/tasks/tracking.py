@@ -239,6 +239,12 @@ class Tracking(Task):
         """Return the extent of the target range, `(n_r,)`: the largest among the outputs of the same unit."""
         return torch.tensor(self._extents, dtype=torch.float64)
 
+    def state_ranges(self) -> Tensor:
+        """Return the range of each state, `(n_x,)`: of an output that of its targets, of others their typical size."""
+        found = torch.tensor(self.signature.x_scale, dtype=torch.float64)
+        found[self.outputs] = self.boxes()
+        return found
+
     def sample(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
         """Draw reference parameters of new episodes, `(*batch, n_r, 5)`."""
         return self.references.sample(batch, generator)

@@ -125,11 +125,11 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
     # The others lie broad below the model, which they often coincide with, and would not be seen behind it.
     looks: list[dict[str, Any]] = [{"color": BLUE, "linewidth": 0.9, "zorder": 2.5, "label": model}]
     looks += ({"color": SKY if it else ORANGE, "linewidth": 2.5, "label": words[it]} for it in stays[1:].tolist())
-    for i, (axis, state) in enumerate(zip(axes, outputs, strict=False)):
+    for i, axis in enumerate(axes[:n_r]):
         axis.axhline(targets[i], color=BLACK, linestyle="--", linewidth=1.2, zorder=2.6, label="target")
         for row, look in zip(y, looks, strict=True):
             axis.plot(seconds, row[:, i], **look)
-        error = limits.error * signature.x_scale[state]
+        error = limits.error * float(found.loop.task.boxes()[i])
         low, high = targets[i] - error, targets[i] + error
         axis.axhspan(low, high, color=GREY, alpha=0.2, lw=0, label="steady error that passes")
         if not near.all():

@@ -177,10 +177,9 @@ def test_carts_on_rails_of_their_own_are_judged_together_as_each_alone():
             own = found.targets.flatten().tolist().index(target)
             torch.testing.assert_close(both.rest.error[k, i], found.rest.error[own, 0], **close)
             torch.testing.assert_close(both.rest.u[k, i], found.rest.u[own, 0], **close)
-            for kind in ("margins", "smooth"):
-                margins, single = getattr(both, kind)[k], getattr(found, kind)[own]
-                assert len(margins) == 2 and len(single) == 1
-                assert asdict(margins[i]) == pytest.approx(asdict(single[0]), rel=1e-3, abs=1e-6)
+            margins, single = both.margins[k], found.margins[own]
+            assert len(margins) == 2 and len(single) == 1
+            assert asdict(margins[i]) == pytest.approx(asdict(single[0]), rel=1e-3, abs=1e-6)
             assert both.noise[k][i, mine].tolist() == pytest.approx(found.noise[own][0].tolist(), rel=1e-5)
             assert both.noise[k][i, [2 - 2 * i, 3 - 2 * i]].max() < 1e-12  # of the other cart
             torch.testing.assert_close(both.steps.x[k][:, mine], found.steps.x[own], **close)

@@ -16,7 +16,7 @@ def test_a_law_near_the_least_that_holds_a_pendulum_lacks_margin_and_is_made_str
     with torch.no_grad():
         law.weight[:] = torch.cat([-torch.tensor([times * 2 / 3, 0.5]) * scale, torch.zeros(1)])
     law.weight.grad = torch.tensor([[0.0, 0.0, 1.0]])
-    cost = MarginCost.of(env, rests)
+    cost = MarginCost(env, rests)
     cost.select(law)
     cost.add_gradient(law)
     (of_angle, _, of_error), lacks = law.weight.grad[0].tolist(), len(cost.followed) > 0

@@ -112,7 +112,7 @@ def test_steps_of_the_model_and_of_other_plants_are_drawn_with_the_target_and_wh
     assert upper.lines[0].get_ydata()[0] == -0.4 and upper.lines[1].get_xdata()[-1] == pytest.approx(5.0)
     assert upper.lines[1].get_color() == lower.lines[0].get_color() != upper.lines[2].get_color()
     (band,) = upper.patches
-    error = Thresholds.error * CART.x_scale[0]
+    error = Thresholds.error * float(found.loop.task.boxes()[0])
     assert (band.get_y(), band.get_height()) == pytest.approx((-0.4 - error, 2 * error))
     # The last input is held to the end of its period.
     assert len(lower.lines) == 4 and lower.lines[0].get_xdata()[-1] == pytest.approx(5.0)
