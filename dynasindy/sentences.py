@@ -476,8 +476,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "are states, give {states:data.states}",
     "log.held_states": "{states:list} stand still in most rows, as commands do, sensors that failed, and samples "
     "that are repeated; name commands in <data.inputs>, and write repeated samples as empty cells",
-    "log.guessed_inputs": "taken as input: {inputs:list}, by steps where all others move in most rows; if that is "
-    "wrong, correct {inputs:data.inputs} and {states:data.states}",
+    "log.guessed_inputs": "taken as input: {inputs:list}, {named:by name, as others follow|by steps where all others "
+    "move in most rows}; if that is wrong, correct {inputs:data.inputs} and {states:data.states}",
     "log.unmeasured": "{state} is seen by no sensor; it is estimated with the model",
     "log.converted": lambda units, kept: (
         f"converted: {', '.join(f'{name} from {old} to {new}' for name, (old, new) in units.items())}, as targets, "

@@ -102,13 +102,44 @@ def _is_followed(column: Array, others: Iterable[Array]) -> bool:
     return any(first > 0.7 and last < 0.3 for first, last in left)
 
 
-def _alike(name: str, names: Iterable[str]) -> list[str]:
-    """Return the names that differ from one in the number at their end alone, as `Heater 2` does from `Heater 1`."""
+def _alike(name: str, units: Mapping[str, str]) -> list[str]:
+    """Return the names of one unit that differ in the number at their end alone, as `Heater 2` from `Heater 1`."""
     number = re.compile(r"[\W_]*\d+$")
-    return [other for other in names if number.sub("", other) == number.sub("", name)]
+    return [n for n in units if (number.sub("", n), units[n]) == (number.sub("", name), units[name])]
 
 
-def _stepping(columns: Mapping[str, Array]) -> list[str]:
+def _is_actuator(name: str) -> bool:
+    """Tell whether a column is called as what acts on a plant is, and not as what is measured."""
+    return bool(ACTUATOR.fullmatch(name)) and not MEASURED.search(name)
+
+
+def _told_by(driver: Array, column: Array) -> float:
+    """Return the part of the variance of a column, some rows ahead, that another one tells beside its own past."""
+    told = 0.0
+    for ahead in (1, 4, 16) if len(column) > 200 else ():
+        rows = np.arange(2, len(column) - ahead, 1 + len(column) // 5000)
+        table = np.stack([np.ones(len(rows)), *(x[rows - k] for x in (column, driver) for k in range(3))], 1)
+        y, parts = column[rows + ahead], (table[:, :4], table)
+        own, both = (float(np.square(y - part @ np.linalg.lstsq(part, y, rcond=None)[0]).sum()) for part in parts)
+        # What lies that far apart counts once.
+        told = max(told, 1 - both / own - CHANCE * ahead / len(rows) if own else 0.0)
+    return told
+
+
+def _acting(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[str]:
+    """Return columns that are called as actuators are and follow none that is called so, if one of them moves others.
+
+    A measured current follows the voltage, and so it is a state.
+    """
+    named = [name for name in columns if _is_actuator(name)]
+    told = {(a, b): _told_by(columns[a], columns[b]) for a in named for b in columns if a != b}
+    led = {b for (a, b), share in told.items() if b in named and share > LED and told[b, a] < share / 3}
+    found = [name for name in named if not {*_alike(name, units)} <= led]
+    acts = any(share > 0 for (a, b), share in told.items() if a in found and b not in found)
+    return found if acts else []
+
+
+def _stepping(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[str]:
     """Return columns that move in steps where all others move in most rows, as inputs; none if one may be a label."""
     standing = {name: _standing(column) for name, column in columns.items()}
     labels = {name for name, share in standing.items() if share > 1 - RARE and not (columns[name] % 1).any()}
@@ -116,7 +147,7 @@ def _stepping(columns: Mapping[str, Array]) -> list[str]:
     most = 0.5 * min((standing[name] for name in found), default=0.0)
     if not found or any(share >= most for name, share in standing.items() if name not in found):
         return []
-    pair = _alike(found[0], columns)
+    pair = [name for name in _alike(found[0], units) if name in columns]
     if not {*found} <= {*pair}:
         return []
     found = pair if len(pair) < len(columns) else found  # columns of one matrix are no pair
@@ -133,7 +164,8 @@ def infer(
     """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`, and what is left out.
 
     Inputs, unless they are named, are called u, u1, u_..., or input..., and where none is, cmd or command; where none
-    is either, they are the columns that move in steps while all others move in most rows. References, predictions,
+    is either, as an actuator, such as a torque, and move others, or they are the columns that move in steps while all
+    others move in most rows. What differs in the number at its end alone is of one kind. References, predictions,
     columns without any number, those that never change and those that count the rows are left out; all other columns
     but time are states, unless they are named.
 
@@ -160,6 +192,7 @@ def infer(
     own = ("reference_", "predicted_")  # in logs of ours
     columns = {name: Column(h) for name, h in zip(names, table.headings) if clock not in (h, name)}
     columns = {name: column for name, column in columns.items() if not name.startswith(own)}
+    units = {name: split_unit(column.name)[1] for name, column in columns.items()}
     named = {found for name in (*(inputs or ()), *(states or ())) for found in find_names(name, columns)}
     driving = {found for name in inputs or () for found in find_names(name, columns)}
     kinds = {name: table.kinds[column.name] for name, column in columns.items()}
@@ -195,8 +228,8 @@ def infer(
     followed = [n for n in rest if n not in named and _is_followed(rest[n], [rest[m] for m in rest if m != n])]
     guessed = not found and inputs is None and timed
     if guessed:
-        steps = _stepping(rest) or _stepping({n: column for n, column in rest.items() if n not in followed})
-        found = [name for name in steps if name not in named]
+        acting, free = _acting(rest, units), {n: column for n, column in rest.items() if n not in followed}
+        found = [n for n in acting or _stepping(rest, units) or _stepping(free, units) if n not in named]
     led = [name for name in followed if name not in found]
     leave("followed", led)
     leave("label", [name for name, column in left().items() if _is_label(column, rarely=False)])
@@ -238,7 +271,7 @@ def infer(
     if led:
         out.append(weak("log.followed", columns=led, states=[*chosen, *led]))
     if guessed:
-        out.append(weak("log.guessed_inputs", inputs=found, states=chosen))
+        out.append(weak("log.guessed_inputs", inputs=found, states=chosen, named=bool(acting)))
     return {name: numeric[name] for name in chosen}, {name: numeric[name] for name in found}, out
 
 
@@ -349,6 +382,20 @@ def _last_digit(column: Array) -> float:
     return float(steps.min(initial=np.inf)) if len(steps) else 0.0
 
 
+ACTUATOR = re.compile(
+    r"(.*[_ .])?(torque|tau|voltage|volts?|current|duty|pwm|pump|valve|heater|throttle|force|thrust|steering"
+    r"|motor|fan|servo|actuator|drive)([_ .\d].*)?",
+    re.I,
+)
+"""How inputs may be called where none is called an input or a command, if they move what is called otherwise."""
+MEASURED = re.compile(
+    r"position|angle|speed|veloc|rate|rpm|temp|press|level|flow|height|accel|encoder|sensor|meas|actual|feedback", re.I
+)
+"""What the name of a measurement holds, though it is one of an actuator."""
+CHANCE = 30.0
+"""Rows of a log whose part of a variance counts as chance."""
+LED = 0.5
+"""Part of the variance of what an actuator is called from which on another one that tells it is the input."""
 RARE = 0.01
 """Share of the rows in which a label changes at most."""
 REFERENCE = re.compile(
@@ -440,9 +487,10 @@ def _guess_columns(table: Table, time: str | None, inputs: Sequence[str], dt: fl
     counter = dt is None and time in growing and not parts_of(time)[1] and is_counter(columns[time])
     if not inputs and names:
         longest = max(names, key=lambda name: still[name])
-        pair = _alike(longest, names)
         held = still[longest] > HELD
-        inputs = (pair if len(pair) < len(names) else [longest]) if held else names[-1:]  # one matrix is no pair
+        first = next(filter(_is_actuator, names), longest if held else names[-1])
+        pair = [name for name in _alike(first, {split_unit(h)[0]: split_unit(h)[1] for h in columns}) if name in names]
+        inputs = pair if len(pair) < len(names) else [first]  # one matrix is no pair
     return {
         "time": split_unit(time)[0] if time else None,
         "inputs": [*inputs],

@@ -54,7 +54,7 @@ APART = re.compile(r"\s*(?:[,/_{<-]|\bin\b|(?<=[a-z])(?=[A-Z]))\s*")
 """What may stand between a name and its unit where the unit has no brackets, as in `angle / deg` and `angleDeg`."""
 INPUT = re.compile(r"(u|U|input)([_\d].*)?")
 """How inputs are called."""
-COMMAND = re.compile(r"(.*_)?(cmd|command|input)([_ \d].*)?")
+COMMAND = re.compile(r"(.*[_ ])?(cmd|command|input)([_ \d].*)?")
 """How they may be called where none is called so: beside an input, a command may be a target."""
 RATE_NAMES = ("{}_rate", "{}_dot", "{}dot", "d{}", "d_{}", "der_{}", "{}_vel", "{}_velocity", "{}_speed")
 """How the rate of a state is called."""

@@ -55,7 +55,7 @@ def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_pa
     still = note("log.left_out", why="constant", columns={"supply": 24.5})
     states, inputs, told = infer(str(path))
     assert (list(states), list(inputs)) == (["angle"], ["motor"]) and still in told
-    assert told[-1] == weak("log.guessed_inputs", inputs=["motor"], states=["angle"])
+    assert told[-1] == weak("log.guessed_inputs", inputs=["motor"], states=["angle"], named=False)
     found = LoggedData(str(path), inputs=["motor"]).recording(None)
     assert found.signature.state_names == ("angle",) and still in found.findings
     path.write_text("\n".join(["time,angle,u_motor,u_supply", *rows]))
@@ -209,10 +209,83 @@ def test_columns_that_move_in_steps_are_the_inputs_where_no_heading_says_so_and_
     assert found.signature.input_names == ("Heater 1", "Heater 2")
     assert codes(found)["log.guessed_inputs"].severity == "weak"
     for headings, columns in (
-        ("time,fan,valve,a,b", (t, one, mode, a, b)),  # which of them drives the plant nobody knows
+        ("time,x,y,a,b", (t, one, mode, a, b)),  # which of them drives the plant nobody knows
         ("time,a,b,c", (t, a, b, rng.normal(0, 1, 600))),
         ("time,a,b,phase", (t, a, b, t // 200)),  # a label
         ("time,x_1,x_2", (t, one, two)),
     ):
         with pytest.raises(LogError):
             read(headings, *columns)
+
+
+def multisine(t, seed):
+    rng = np.random.default_rng(seed)
+    return sum(np.sin(w * t + p) for w, p in zip(rng.uniform(1.0, 9.0, 6), rng.uniform(0, 6.3, 6), strict=True)) / 3
+
+
+def simulated(slopes, inputs, dt=0.01):
+    """Return states of a plant at rest by Euler's method; `slopes` takes them and the inputs, which may read them."""
+    x, rows, moved = None, [], []
+    for u in inputs:
+        x = np.zeros(len(slopes(np.zeros(9), u(np.zeros(9))))) if x is None else x
+        rows.append(x)
+        moved.append(u(x))
+        x = x + dt * np.array(slopes(x, moved[-1]))
+    return [*np.array(rows).T, *np.array(moved).T]
+
+
+T = 0.01 * np.arange(1500)
+ARM = simulated(
+    lambda x, u: (x[2], x[3], 3 * u[0] - x[2] - np.sin(x[0]), 5 * u[1] - x[3] - 0.4 * x[2] - np.sin(x[0] + x[1])),
+    [lambda x, a=a, b=b: (a, b) for a, b in zip(multisine(T, 0), multisine(T, 1), strict=True)],
+)
+HELD_ARM = simulated(
+    lambda x, u: (x[1], 4 * u[0] - x[1] - 9.81 * np.sin(x[0])),
+    [lambda x, r=r: (3 * (r - x[0]) - 0.5 * x[1],) for r in multisine(T, 2)],
+)
+MOTOR = simulated(
+    lambda x, u: (2 * x[1] - 0.5 * x[0], (u[0] - x[1] - 0.5 * x[0]) / 0.03),
+    [lambda x, v=v: (v,) for v in np.repeat(np.random.default_rng(3).uniform(-1, 1, 75), 20)],
+)
+TANK = simulated(
+    lambda x, u: (0.8 + u[0] - np.sqrt(abs(x[0])),), [lambda x, a=a: (a,) for a in 0.3 * multisine(0.3 * T, 4)]
+)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003])
+@pytest.mark.parametrize(
+    ("headings", "columns", "inputs"),
+    [
+        ("q1 [rad],q2 [rad],dq1 [rad/s],dq2 [rad/s],tau1 [Nm],tau2 [Nm]", ARM, ["tau1", "tau2"]),
+        ("q_1,q_2,dq_1,dq_2,torque shoulder,torque elbow", ARM, ["torque shoulder", "torque elbow"]),
+        ("angle [rad],rate [rad/s],motor_torque [Nm]", HELD_ARM, ["motor_torque"]),
+        ("speed [rad/s],current [A],voltage [V]", MOTOR, ["voltage"]),
+        ("motor speed [rpm],motor current [A],motor voltage [V]", MOTOR, ["motor voltage"]),
+        ("speed,motor current,duty", MOTOR, ["duty"]),
+        ("speed,torque,current command", MOTOR, ["current command"]),
+        ("pump level [cm],pump [%]", TANK, ["pump"]),
+        ("height [cm],Valve 1 [%]", TANK, ["Valve 1"]),
+    ],
+)
+def test_inputs_are_called_as_actuators_are_and_move_what_follows(tmp_path, headings, columns, inputs, noise):
+    rng, count, path = np.random.default_rng(5), len(headings.split(",")) - len(inputs), tmp_path / "log.csv"
+    seen = [x + noise * np.ptp(x) * rng.normal(size=len(x)) for x in columns[:count]]
+    table = np.stack([T, *seen, *columns[count:]], 1)
+    np.savetxt(path, table, fmt="%.6f", delimiter=",", header=f"time [s],{headings}", comments="")
+    states, found, told = infer(str(path))
+    assert list(found) == inputs and len(states) == count
+    guessed = [each for each in told if each.code == "log.guessed_inputs"]
+    assert [each.values["named"] for each in guessed] == [True] * ("command" not in headings)
+
+
+def test_what_is_called_as_an_actuator_and_moves_nothing_is_no_input(tmp_path):
+    """A supply's voltage that nothing follows; of three torques of which none is told apart all are offered."""
+    path, rng = tmp_path / "log.csv", np.random.default_rng(6)
+    table = np.stack([T, np.cumsum(rng.normal(size=len(T))), 12 + 0.1 * rng.normal(size=len(T))], 1)
+    np.savetxt(path, table, fmt="%.6f", delimiter=",", header="time,angle,voltage", comments="")
+    told = refused(lambda: infer(str(path)))
+    assert told.code == "log.no_roles" and told.values["guess"]["inputs"] == ["voltage"]
+    table = np.stack([T, *np.cumsum(rng.normal(size=(6, len(T))), 1)], 1)
+    header = "time,a,tau1 [Nm],tau2 [Nm],b,tau3 [Nm],c"
+    np.savetxt(path, table, fmt="%.6f", delimiter=",", header=header, comments="")
+    assert refused(lambda: infer(str(path))).values["guess"]["inputs"] == ["tau1", "tau2", "tau3"]
