@@ -201,6 +201,6 @@ def test_the_pole_on_a_cart_is_found_with_its_quotient(data):
     (shape,) = model.library.shapes
     assert shape.frequency == pytest.approx(-0.75 * POLE / (CART + POLE), rel=1e-4)
     found = dict(zip(model.library.names, model.coefficients[:, 2].tolist(), strict=True))
-    over = f"/(1 + {shape.frequency:g} cos(theta)^2)"
+    over = f"/(1 - {-shape.frequency:g} cos(theta)^2)"
     assert found[f"force {over}"] == pytest.approx(LARGEST / (CART + POLE), rel=1e-4)
     assert found[f"sin(theta) cos(theta) {over}"] == pytest.approx(-0.75 * POLE * GRAVITY / (CART + POLE), rel=1e-4)
