@@ -28,40 +28,41 @@ from torch import Tensor
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlLaw, ControlSetup, Memory
 from dynasindy.evaluation.metrics import steady_seconds
+from dynasindy.planning.margins import MOVEMENT
 from dynasindy.progress import track
 from dynasindy.sensing.observer import Belief
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, integrate, steps_needed
+from dynasindy.systems.integrators import MOST_DOUBLINGS
 from dynasindy.systems.steps import Rates, split_delay
 
 PERIODS = 400
 """Control periods of a flight whose length is not given, those of the paper's episodes; a slow plant gets more time."""
-FINE = 1e-6
+FINE = MOVEMENT / 100
 """How far from each other a control period and one of steps half as long may end [ranges of a state]."""
-TRIED, AROUND = 256, 2.0
-"""States, drawn at random, whose periods are compared, and how far from zero they may be [ranges of a state]."""
-FINEST = 0.01
-"""A Runge-Kutta step that is short enough for whatever moves, as those of the controller are [s]."""
+TRIED = 256
+"""States whose periods are compared, drawn within the bounds and a range from where episodes begin, outputs from the
+middle of their targets."""
 SETTLED = 600
 """Control periods after which the covariance of the observer is taken as steady."""
 FULL = 0.99
 """Part of its way from the middle to a limit at which an input counts as saturated."""
 
 
-def _longest_step(model: SindyModel, setup: ControlSetup, finest: float = FINEST) -> float:
+def _longest_step(model: SindyModel, setup: ControlSetup) -> float:
     """Return the longest Runge-Kutta step by which a model is moved well [s]: shorter ones end where it does."""
-    generator = torch.Generator().manual_seed(0)
-    size = torch.tensor(model.signature.x_scale, dtype=torch.float64)
+    generator, task, substeps = torch.Generator().manual_seed(0), setup.task, max(1, setup.substeps)
     x, u = (
         2 * torch.rand(TRIED, width, generator=generator, dtype=torch.float64) - 1
         for width in (model.signature.n_x, model.signature.n_u)
     )
-    low, high = setup.task.input_limits.double()
-    x, u = AROUND * size * x, low + (high - low) * (u + 1) / 2
-    substeps = max(1, setup.substeps)
-    finest = min(finest, setup.dt / substeps)
+    low, high = task.input_limits.double()
+    centre = task.start_ends.double().mean(0)
+    centre[task.outputs] = torch.tensor(task.ends or [centre[task.outputs].tolist()], dtype=torch.float64).mean(0)
+    size = torch.tensor(model.signature.x_scale, dtype=torch.float64)
+    x, u = (centre + size * x).clamp(*task.bounds.double()), low + (high - low) * (u + 1) / 2
     number, _ = steps_needed(model, x, u, setup.dt, substeps, setup.stops, FINE)
-    return finest if number is None else max(finest, setup.dt / number)
+    return setup.dt / (number or substeps * 2**MOST_DOUBLINGS)
 
 
 @dataclass(frozen=True)
@@ -296,13 +297,11 @@ class ClosedLoop:
 
     def _flow(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
         steps = max(1, math.ceil(seconds / self.longest - 1e-6))
-        rates = Rates(self._rates, self.model.step)
-        return integrate(rates, x, u, seconds, steps, self.stops)[0][..., -1, :]
+        moving = self.model if self.coefficients is None else Rates(self._rates, self.model.step)
+        return integrate(moving, x, u, seconds, steps, self.stops)[0][..., -1, :]
 
     def _rates(self, x: Tensor, u: Tensor) -> Tensor:
-        """Return dx/dt, `(rows, n_x)` or `(rows, n, n_x)`, of as many states under inputs that act."""
-        if self.coefficients is None:
-            dx: Tensor = self.model(x, u)
-            return dx
+        """Return dx/dt, `(rows, n_x)` or `(rows, n, n_x)`, of plants with other coefficients under inputs that act."""
+        assert self.coefficients is not None
         theta, xi = self.model.library(x, u), self.coefficients
         return (theta.unsqueeze(1) @ xi).squeeze(1) if theta.dim() == 2 else theta @ xi

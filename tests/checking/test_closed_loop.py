@@ -130,23 +130,23 @@ def test_stops_hold(loops):
 
 @pytest.mark.parametrize("spring", [1e-4, 1.0, 100.0, 1e6])
 def test_the_step_is_as_long_as_the_plant_allows(carts, loops, tasks, spring):
-    """A spring that takes minutes is passed in one step of 2 s, and ends where its cosine does, as does a fast one."""
-    model, dt, finest = carts(spring=spring), 2.0, 0.01
-    step = _longest_step(model, ControlSetup(tasks(), dt), finest)
-    assert (step == dt) == (spring == 1e-4) and step >= finest and (step == finest) == (spring > 1.0)
+    """A slow spring is passed in the steps of the controller, and ends where its cosine does, as does a fast one."""
+    model, dt, longest = carts(spring=spring), 2.0, 0.4
+    step = _longest_step(model, ControlSetup(tasks(), dt, 5))
+    assert (step == longest) == (spring == 1e-4) and step >= dt / 160 and (step == dt / 160) == (spring > 1.0)
     if spring < 1e6:
         start, loop = torch.tensor([[1.0, 0.0]], dtype=torch.float64), loops(model=model, dt=dt, step=step)
         x = loop._move(start, torch.zeros(1, 1, 1))
         omega = math.sqrt(spring)
-        assert x[0, 0].item() == pytest.approx(math.cos(omega * dt), abs=FINE if spring < 100 else 1e-4)
+        assert x[0, 0].item() == pytest.approx(math.cos(omega * dt), abs=FINE)
 
 
 @pytest.mark.parametrize("function", ["v^3", "force v"])
 def test_the_step_is_short_where_only_large_movements_or_inputs_make_the_plant_fast(carts, tasks, function):
-    """v' = -3 v^3 has a rate of 9 v^2, up to 324 per second at 6 m/s; v' = -30 u v one of 30 per second."""
+    """v' = -3 v^3 has a rate of 9 v^2, up to 81 per second at 3 m/s; v' = -30 u v one of 30 per second."""
     model = SindyModel(carts().signature, ["v", function], known={"p": "v"})
     model.set_coefficients(torch.tensor([[1.0, 0.0], [0.0, -3.0 if function == "v^3" else -30.0]], dtype=torch.float64))
-    assert _longest_step(model, ControlSetup(tasks(), 0.1), 0.001) < 0.1
+    assert _longest_step(model, ControlSetup(tasks(), 0.1)) < 0.1
 
 
 @pytest.mark.parametrize(("delay", "pending"), [(0.0, 0), (0.1, 1), (0.3, 2)])
