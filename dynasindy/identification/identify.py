@@ -139,7 +139,7 @@ class Identified(LogFit):
         metrics = {what: {name: float(e[i]) for name, i in seen} for what, e in errors.items()}
         forecasts = forecast_errors(model, source.training, validation)
         if forecasts is not None:
-            metrics |= verdict.errors(forecasts, source.signature)
+            metrics |= _errors_by_horizon(forecasts, source.signature)
         return cls(model, source, fit.report, predicted, metrics, forecasts)
 
     @property
@@ -360,6 +360,17 @@ def table(forecasts: ForecastErrors, signature: Signature, columns: int | None =
                 cells = (error_of(math.inf if error > most else error) for error in errors)
                 text.append(f"    {kind:<{wide - 2}}{''.join(f'{cell:>{CELL}}' for cell in cells)}")
     return text
+
+
+def _errors_by_horizon(forecasts: ForecastErrors, signature: Signature) -> dict[str, dict[str, float]]:
+    """Return the errors over each horizon, of the states that were measured, for a file."""
+    seen = [i for i in range(signature.n_x) if not bool(torch.isnan(forecasts.held[:, i]).all())]
+    kinds = {"": forecasts.model, "linear_": forecasts.linear, "held_": forecasts.held}
+    return {
+        f"{kind}rmse_{h:g}_s": {signature.state_names[i]: float(found[k, i]) for i in seen}
+        for kind, found in kinds.items()
+        for k, h in enumerate(forecasts.horizons)
+    }
 
 
 def _errors(model: SindyModel) -> list[str]:

@@ -9,16 +9,14 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from dynasindy.findings import Finding, note, weak
 from dynasindy.sentences import setting
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.lag_states import widened
 from dynasindy.sindy.reconstruction import rate_states, reconstruct
-from dynasindy.systems.base import WHOLE, Signature, System
+from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 
 if TYPE_CHECKING:
@@ -27,8 +25,6 @@ if TYPE_CHECKING:
 
 VALIDATION_SHARE = 0.25
 """Part of a log, at its end, that is kept to judge on."""
-ALIKE = 1e-5
-"""Part of an input's range by which ends may differ and still be the same, as those are that were written down."""
 PERIOD = 0.05
 """Control period unless another is given [s]; with a log the multiple of its sampling time that is nearest."""
 USUAL = 0.99
@@ -155,8 +151,8 @@ class Source:
         Raises:
             ValueError: the model is of another plant, or its inputs have other ends.
         """
-        if not same_input_ranges(self.signature, model.signature):
-            mine, theirs = (_numbers(each)[:, 2:].tolist() for each in (self.signature, model.signature))
+        if not self.signature.same_input_ranges(model.signature):
+            mine, theirs = (each.input_ranges[:, 2:].tolist() for each in (self.signature, model.signature))
             raise ValueError(
                 f"the inputs {', '.join(model.signature.input_names)} have the ends {theirs} for the model and {mine} "
                 f"in the log, or another zero; give the ends of the actuator to both, low, high and rest in "
@@ -214,25 +210,6 @@ def _with_rate_ranges(signature: Signature, data: Transitions, known: Mapping[st
         moves = guess.x[:: len(guess) // MOST + 1, rate].abs()
         ranges[rate] = float(torch.quantile(moves, USUAL)) or ranges[rate]
     return replace(signature, x_scale=tuple(ranges))
-
-
-def same_input_ranges(first: Signature, second: Signature) -> bool:
-    """Tell whether two plants have inputs with the same ends, up to the digits in which a note tells them.
-
-    Args:
-        first: Names and ends of one.
-        second: Those of the other.
-    """
-    count = min(first.n_u, second.n_u)
-    mine, theirs = _numbers(first)[:count], _numbers(second)[:count]
-    return bool((np.abs(mine - theirs) <= ALIKE * (mine[:, 1:2] - mine[:, :1])).all())
-
-
-def _numbers(signature: Signature) -> NDArray[np.float64]:
-    """Return what -1 and 1, and the limits, are of each input in its own unit, `(n_u, 4)`."""
-    both = np.array(signature.input_ends or (WHOLE,) * signature.n_u)
-    limits = np.array(signature.input_limits or (WHOLE,) * signature.n_u)
-    return np.concatenate([both, signature.in_own_units(limits.T).T], -1)
 
 
 def rate_name(name: str, signature: Signature) -> str:

@@ -276,17 +276,6 @@ def recording_findings(data: Transitions, signature: Signature) -> list[Finding]
     return findings
 
 
-def errors(forecasts: ForecastErrors, signature: Signature) -> dict[str, dict[str, float]]:
-    """Return the errors over each horizon, of the states that were measured, for a file."""
-    seen = [i for i in range(signature.n_x) if not bool(torch.isnan(forecasts.held[:, i]).all())]
-    kinds = {"": forecasts.model, "linear_": forecasts.linear, "held_": forecasts.held}
-    return {
-        f"{kind}rmse_{h:g}_s": {signature.state_names[i]: float(found[k, i]) for i in seen}
-        for kind, found in kinds.items()
-        for k, h in enumerate(forecasts.horizons)
-    }
-
-
 def equation_findings(model: SindyModel, report: FitReport | None = None) -> list[Finding]:
     """Return what of delay and dry friction is in the equations.
 

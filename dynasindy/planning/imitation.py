@@ -224,7 +224,7 @@ def improve(
     for _ in range(rounds):
         if failures >= PATIENCE:
             break
-        begun = starts(network, env, rows, rng, periods)
+        begun = _starts(network, env, rows, rng, periods)
         earned = imagined_rewards(env, imagine(env, network, begun, periods))
         way = _better(network, env, begun, rng, periods, least := float(earned.amin()))
         # The way to the starts, that of the policy, those of all signals, and the best one once more.
@@ -247,7 +247,7 @@ def improve(
 
 
 @torch.no_grad()
-def starts(network: Network, env: ControlEnv, rows: Rows, rng: torch.Generator, periods: int) -> Rows:
+def _starts(network: Network, env: ControlEnv, rows: Rows, rng: torch.Generator, periods: int) -> Rows:
     """Return where ways begin: half of them where episodes do, the others at a moment of an episode of the policy."""
     # A way is timed for inputs that act at once, as those of the model do.
     begun = replace(Rows.draw(env, STARTS, rng), reach=rows.reach, strength=rows.strength)

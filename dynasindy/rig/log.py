@@ -50,6 +50,21 @@ class Log:
         """Close the file."""
         self._file.close()
 
+    @staticmethod
+    def read(path: Path, signature: Signature) -> tuple[Array, Array, Array]:
+        """Return the times `(T,)` [s], states `(T, n_x)` and inputs `(T, n_u)` of the log of a flight.
+
+        What was lost is NaN, and so is a state that is not measured. A row that was not written to its end is left out.
+        """
+        with path.open(newline="", encoding="utf-8") as file:
+            headings, *rows = list(csv.reader(file))
+        names = [heading.partition(" [")[0] for heading in headings]
+        whole = [[float(cell) if cell else np.nan for cell in row] for row in rows if len(row) == len(names)]
+        columns = np.array(whole).reshape(-1, len(names))
+        table, missing = dict(zip(names, columns.T, strict=True)), np.full(len(columns), np.nan)
+        states = np.stack([table.get(name, missing) for name in signature.state_names], -1)
+        return table["time"], states, np.stack([table[name] for name in signature.input_names], -1)
+
 
 LAST = 0.5
 """Part at the end of each target over which the error is taken."""
@@ -84,7 +99,7 @@ class FlightRecord:
         cls, path: Path, signature: Signature, names: Sequence[str], targets: Sequence[Sequence[float]], fault: str = ""
     ) -> FlightRecord:
         """Read the log of a flight, with as many rows as were flown, whose targets are given for all of its rows."""
-        time, states, inputs = samples(path, signature)
+        time, states, inputs = Log.read(path, signature)
         wanted = np.array([list(target) for target in targets], dtype=np.float64)[: len(time)]
         y = states[:, [signature.state_index(name) for name in names]]
         return cls(signature, names, time, wanted, y, inputs, len(targets), fault)
@@ -121,18 +136,3 @@ class FlightRecord:
         short = f", of the {len(self.time)} periods of {self.planned} that were flown"
         flown = short if len(self.time) < self.planned else ""
         return f"mean error over the last half of each target{flown}: {', '.join(told)}"
-
-
-def samples(path: Path, signature: Signature) -> tuple[Array, Array, Array]:
-    """Return the times `(T,)` [s], states `(T, n_x)` and inputs `(T, n_u)` of the log of a flight.
-
-    What was lost is NaN, and so is a state that is not measured. A row that was not written to its end is left out.
-    """
-    with path.open(newline="", encoding="utf-8") as file:
-        headings, *rows = list(csv.reader(file))
-    names = [heading.partition(" [")[0] for heading in headings]
-    whole = [[float(cell) if cell else np.nan for cell in row] for row in rows if len(row) == len(names)]
-    columns = np.array(whole).reshape(-1, len(names))
-    table, missing = dict(zip(names, columns.T, strict=True)), np.full(len(columns), np.nan)
-    states = np.stack([table.get(name, missing) for name in signature.state_names], -1)
-    return table["time"], states, np.stack([table[name] for name in signature.input_names], -1)

@@ -21,11 +21,11 @@ from dynasindy.control.files import NAME
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Excitation
 from dynasindy.identification.identify import LoggedData, identify
-from dynasindy.identification.source import Source, same_input_ranges
+from dynasindy.identification.source import Source
 from dynasindy.planning import GradientPlanning
 from dynasindy.rig.base import Array, Rig, RigClock, Wiring
 from dynasindy.rig.flight import ROUNDING, FlightResult, Guard, run_flight
-from dynasindy.rig.log import LAST, FlightRecord, samples
+from dynasindy.rig.log import LAST, FlightRecord, Log
 from dynasindy.sentences import line
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.named_libraries import LibraryBuilder
@@ -198,7 +198,7 @@ class Session:
 
     def samples(self, path: Path) -> tuple[Array, Array, Array]:
         """Return the times `(T,)` [s], states `(T, n_x)` and inputs `(T, n_u)` of a log, NaN for what is missing."""
-        return samples(path, self.wiring.signature)
+        return Log.read(path, self.wiring.signature)
 
     def learn(self, knowledge: Knowledge, seed: int = 0) -> Controller:
         """Identify the rig from all logs so far and plan a controller, while it rests.
@@ -248,7 +248,7 @@ class Session:
             units = [s.state_units[s.state_index(state)] for s in (theirs, mine)]
             if units[0] != units[1]:
                 raise ValueError(f"the controller reads {state} in {units[0]}, the rig sends {units[1]}; give one unit")
-        if mine.input_ends and not same_input_ranges(mine, theirs):
+        if mine.input_ends and not mine.same_input_ranges(theirs):
             raise ValueError(
                 f"-1 and 1 are {_ends(mine)} on the rig, {_ends(theirs)} for the controller; give the same"
             )

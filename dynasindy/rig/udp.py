@@ -31,19 +31,6 @@ MOST = 100_000
 """Datagrams that are thrown away before a flight; more are a flood."""
 
 
-def pack(number: int, values: Array) -> bytes:
-    """Return a datagram."""
-    return MAGIC + struct.pack(f"<I{len(values)}d", number, *values)
-
-
-def unpack(datagram: bytes, n: int) -> tuple[int, Array] | None:
-    """Return number and values, None if it is no datagram of n values."""
-    if len(datagram) != 8 + 8 * n or datagram[:4] != MAGIC:
-        return None
-    number, *values = struct.unpack(f"<I{n}d", datagram[4:])
-    return number, np.array(values)
-
-
 class UdpRig:
     """A rig that streams samples over UDP and takes inputs the same way.
 
@@ -75,6 +62,19 @@ class UdpRig:
         except OverflowError as error:
             raise ValueError(f"port {port} of a rig does not exist; give one of 1 to 65535") from error
 
+    @staticmethod
+    def pack(number: int, values: Array) -> bytes:
+        """Return a datagram."""
+        return MAGIC + struct.pack(f"<I{len(values)}d", number, *values)
+
+    @staticmethod
+    def unpack(datagram: bytes, n: int) -> tuple[int, Array] | None:
+        """Return number and values, None if it is no datagram of n values."""
+        if len(datagram) != 8 + 8 * n or datagram[:4] != MAGIC:
+            return None
+        number, *values = struct.unpack(f"<I{n}d", datagram[4:])
+        return number, np.array(values)
+
     @property
     def number(self) -> int | None:
         """Periods from the first sample after `begin` to the last one."""
@@ -96,7 +96,7 @@ class UdpRig:
             except (TimeoutError, BlockingIOError):
                 break
         with self._named():
-            self._socket.send(pack(REST, np.zeros(self.n_u)))
+            self._socket.send(self.pack(REST, np.zeros(self.n_u)))
 
     def read(self, seconds: float) -> Array | None:
         """Return the newest sample that is newer than the last one, `(n_x,)`; None if none came in time.
@@ -120,7 +120,7 @@ class UdpRig:
                 if newest is not None:
                     return newest
                 continue
-            found = unpack(datagram, self.n_x)
+            found = self.unpack(datagram, self.n_x)
             if found is None:
                 begins = "" if datagram[:4] == MAGIC else f" that begin with {datagram[:4]!r}"
                 self.strange = (
@@ -142,7 +142,7 @@ class UdpRig:
         if len(u) != self.n_u:
             raise Fault("controller", f"{len(u)} inputs for a rig with {self.n_u}")
         with self._named():
-            self._socket.send(pack(max(self.last, 0), u))
+            self._socket.send(self.pack(max(self.last, 0), u))
 
     def rest(self) -> None:
         """Ask for the safe input, several times, as datagrams get lost; an answer is not waited for."""
@@ -150,7 +150,7 @@ class UdpRig:
             # An error may be that of an earlier datagram, and the next one go through. If nobody is there any more, the
             # far end has noticed the silence.
             with suppress(OSError):
-                self._socket.send(pack(REST, np.zeros(self.n_u)))
+                self._socket.send(self.pack(REST, np.zeros(self.n_u)))
 
     @contextmanager
     def _named(self) -> Iterator[None]:

@@ -26,6 +26,8 @@ PRECISIONS = (torch.float32, torch.float64)
 WHOLE = (-1.0, 1.0)
 """Ends and limits of an input that has no others."""
 UNIT = re.compile(r"[\w°%^*/().\- ²³·µ]{1,30}")
+ALIKE = 1e-5
+"""Part of an input's range by which ends may differ and still be the same, as those are that were written down."""
 Ends = float | Sequence[float]
 """A number, or the two ends of a range."""
 
@@ -237,6 +239,18 @@ class Signature:
         """Return inputs of [-1, 1], `(*batch, n_u)`, in the units of their actuators."""
         low, high = np.array(self.input_ends or (WHOLE,) * self.n_u).T
         return 0.5 * (low + high) + 0.5 * (high - low) * np.asarray(u, dtype=np.float64)
+
+    @property
+    def input_ranges(self) -> NDArray[np.float64]:
+        """What -1 and 1, and the limits, are of each input in its own unit, `(n_u, 4)`."""
+        limits = np.array(self.input_limits or (WHOLE,) * self.n_u)
+        return np.concatenate([np.array(self.input_ends or (WHOLE,) * self.n_u), self.in_own_units(limits.T).T], -1)
+
+    def same_input_ranges(self, other: Signature) -> bool:
+        """Tell whether inputs have the same ends as those of another plant, up to the digits in which a note tells."""
+        count = min(self.n_u, other.n_u)
+        mine, theirs = self.input_ranges[:count], other.input_ranges[:count]
+        return bool((np.abs(mine - theirs) <= ALIKE * (mine[:, 1:2] - mine[:, :1])).all())
 
     def state_index(self, name: str, key: str = "a setting") -> int:
         """Return the position of a state in `x`.

@@ -41,6 +41,8 @@ def test_the_pendulum_is_found_and_predicts_unseen_inputs():
     found = _identified(source)
     assert found.model.equations(3)[1] == "Omega' = -0.5 Omega + 12 u - 9.81 sin(theta)"
     assert max(found.metrics["open_loop_nrmse"].values()) < 1e-4
+    errors = dict(zip(("theta", "Omega"), found.forecasts.model[0].tolist(), strict=True))
+    assert found.metrics[f"rmse_{found.forecasts.horizons[0]:g}_s"] == errors
     assert "prediction" in found.to_text() and codes(found.verdict) == ["model.predicts"]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from dynasindy.rig.base import Array
-from dynasindy.rig.udp import REST, pack, unpack
+from dynasindy.rig.udp import REST, UdpRig
 from dynasindy.sensing import Sensors
 from dynasindy.systems import System, integrate
 
@@ -95,7 +95,7 @@ class FarEnd:
         coming = deque([self.safe] * (self.sensors.actuator_delay if self.sensors else 0))
         for k in range(periods):
             y = x if self.sensors is None else self.sensors.read(x, self.system.signature, self.rng)
-            self._socket.sendto(pack(k, y.numpy()), caller)
+            self._socket.sendto(UdpRig.pack(k, y.numpy()), caller)
             found = self._inputs(begun + (k + 1) * self.dt, lockstep)
             missed = 0 if found is not None else missed + 1
             u = found if found is not None else u if missed <= BRIDGED else self.safe
@@ -121,7 +121,7 @@ class FarEnd:
                 return found
             self._socket.settimeout(left)
             try:
-                answer = unpack(self._socket.recv(65536), len(self.safe))
+                answer = UdpRig.unpack(self._socket.recv(65536), len(self.safe))
             except (TimeoutError, BlockingIOError):
                 return found
             except ConnectionError:  # the caller is gone: its own silence tells

@@ -8,7 +8,7 @@ from dynasindy.agents import Actor
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning import imitation as module
-from dynasindy.planning.imitation import _better, imagined_rewards, improve, starts
+from dynasindy.planning.imitation import _better, _starts, imagined_rewards, improve
 from dynasindy.planning.rollout import Rows, imagine
 from dynasindy.sindy import LearnedReward
 from dynasindy.systems import Signature, System
@@ -61,7 +61,7 @@ GONE = sum(float(two_hills(None, None, torch.tensor([min(HERE + 0.1 * k, THERE)]
 def test_the_best_way_is_that_over_the_border():
     env, rows = setting()
     rng, network = torch.Generator().manual_seed(0), lazy()
-    begun = starts(network, env, rows, rng, PERIODS)
+    begun = _starts(network, env, rows, rng, PERIODS)
     way = _better(network, env, begun, rng, PERIODS)
     found = imagined_rewards(env, way).sum(0)
     assert earned(env, network) == pytest.approx(STAYED)

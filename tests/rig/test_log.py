@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dynasindy.rig import Wiring
-from dynasindy.rig.log import FlightRecord, Log, samples
+from dynasindy.rig.log import FlightRecord, Log
 from dynasindy.systems import Pendulum, Signature
 
 WIRING = Wiring(Pendulum().signature, (False, True), 0.05)
@@ -74,7 +74,7 @@ def test_what_is_drawn_is_the_log(flight):
 def test_samples_are_those_of_the_log_in_the_order_of_the_plant(tmp_path):
     (tmp_path / "log.csv").write_text("time [s],v [m/s],u [-],w [-]\n0.0,1.5,0.1,-0.1\n0.5,,0.2,-0.2\n1.0")
     plant = Signature(("x", "v"), ("m", "m/s"), ("w", "u"), (1.0, 1.0))
-    time, states, inputs = samples(tmp_path / "log.csv", plant)
+    time, states, inputs = Log.read(tmp_path / "log.csv", plant)
     assert time.tolist() == [0.0, 0.5] and inputs.tolist() == [[-0.1, 0.1], [-0.2, 0.2]]
     assert np.isnan(states[:, 0]).all() and states[0, 1] == 1.5 and np.isnan(states[1, 1])
 

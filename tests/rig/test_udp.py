@@ -6,8 +6,8 @@ import threading
 import numpy as np
 import pytest
 
-from dynasindy.rig import Fault, UdpRig
-from dynasindy.rig.udp import REST, pack, unpack
+from dynasindy.rig import Fault
+from dynasindy.rig.udp import REST, UdpRig
 
 
 @pytest.fixture
@@ -25,27 +25,27 @@ def ends():
 
 @pytest.mark.parametrize("datagram", [b"", b"DYN1", b"DYN2" + bytes(20), b"DYN1" + bytes(12), b"DYN1" + bytes(28)])
 def test_what_is_no_datagram_is_left_out(datagram):
-    assert unpack(datagram, 2) is None
+    assert UdpRig.unpack(datagram, 2) is None
 
 
 def test_the_newest_sample_counts_and_old_ones_do_not(ends):
     rig, far, caller, _ = ends
     for number in (3, 5, 4):
-        far.sendto(pack(number, np.array([number, 0.5])), caller)
+        far.sendto(UdpRig.pack(number, np.array([number, 0.5])), caller)
     assert rig.read(2.0).tolist() == [5.0, 0.5]
-    far.sendto(pack(5, np.array([9.0, 9.0])), caller)
+    far.sendto(UdpRig.pack(5, np.array([9.0, 9.0])), caller)
     far.sendto(b"nonsense", caller)
     assert rig.read(0.05) is None
-    far.sendto(pack(6, np.array([6.0, 6.0])), caller)
+    far.sendto(UdpRig.pack(6, np.array([6.0, 6.0])), caller)
     assert rig.read(2.0).tolist() == [6.0, 6.0]
 
 
 def test_inputs_answer_the_last_sample(ends):
     rig, far, caller, _ = ends
-    far.sendto(pack(11, np.array([0.0, 0.0])), caller)
+    far.sendto(UdpRig.pack(11, np.array([0.0, 0.0])), caller)
     rig.read(2.0)
     rig.write(np.array([0.75]))
-    number, values = unpack(far.recv(100), 1)
+    number, values = UdpRig.unpack(far.recv(100), 1)
     assert (number, values.tolist()) == (11, [0.75])
     with pytest.raises(Fault, match="inputs"):
         rig.write(np.array([0.1, 0.2]))
@@ -68,22 +68,22 @@ def test_nobody_at_the_other_end_is_told_with_host_and_port():
 def test_the_end_asks_for_the_safe_input(ends):
     rig, far, _, _ = ends
     rig.close()
-    assert [unpack(far.recv(100), 1)[0] for _ in range(3)] == [REST] * 3  # datagrams get lost
+    assert [UdpRig.unpack(far.recv(100), 1)[0] for _ in range(3)] == [REST] * 3  # datagrams get lost
     rig.rest()  # nothing to send it with any more, and no error
 
 
 def test_a_flight_begins_with_a_fresh_sample_even_of_a_far_end_that_began_anew(ends):
     rig, far, caller, _ = ends
-    far.sendto(pack(900, np.zeros(2)), caller)
+    far.sendto(UdpRig.pack(900, np.zeros(2)), caller)
     assert rig.read(2.0) is not None
     for number in range(901, 2000):
-        far.sendto(pack(number, np.ones(2)), caller)
+        far.sendto(UdpRig.pack(number, np.ones(2)), caller)
     rig.begin()
-    assert unpack(far.recv(100), 1)[0] == REST  # the far end learns anew whom to talk to
+    assert UdpRig.unpack(far.recv(100), 1)[0] == REST  # the far end learns anew whom to talk to
     assert rig.number is None
     assert rig.read(0.02) is None
     for number, expected in ((4, 0), (5, 1), (8, 4)):
-        far.sendto(pack(number, np.array([number, 0.0])), caller)
+        far.sendto(UdpRig.pack(number, np.array([number, 0.0])), caller)
         assert rig.read(2.0)[0] == number
         assert rig.number == expected
 
