@@ -161,9 +161,10 @@ def read_rows(path: Path) -> list[Row]:
         rows, header = list(table), table.fieldnames or []
         if not header or len(set(header)) < len(header):
             raise _damaged(path, "its first line is no line of different headings")
-        wrong = next((place for place, row in enumerate(rows, 1) if None in row or None in row.values()), None)
-        if wrong is not None:
-            raise _damaged(path, f"row {wrong} has more or fewer cells than the {len(header)} headings")
+        for place, row in enumerate(rows, 1):
+            cells = len(header) + len(row.get(None, ())) - [*row.values()].count(None)
+            if cells != len(header):
+                raise _damaged(path, f"row {place} has {cells} cells; allowed are {len(header)}, one for each heading")
         return rows
 
 

@@ -609,8 +609,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "check.phase_margin": _margin("{} deg"),
     "check.delay_margin": _margin("{} control periods"),
     "check.disk_margin": _margin("{}"),
-    "run.thin_margin": "the loop has a disk margin of {value:.2g} at ({target:list}), by {input}, where {limit:g} or "
-    "more is robust: a check tells more of it, and what helps",
+    "control.thin_margin": "the loop has a disk margin of {value:.2g} at ({target:list}), by {input}, where {limit:g} "
+    "or more is robust: a check tells more of it, and what helps",
     "check.noise": lambda known=True, **facts: _fill(NOISE if known else NO_NOISE, facts),
     "check.steady_error": "in steps from {begin} at most {error:.3g}{unit:unit} of {output}; threshold: "
     "{limit:.3g}{unit:unit}",

@@ -33,7 +33,7 @@ from dynasindy.dyna.run import run, run_report
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Policy, Scenario
 from dynasindy.evaluation.tracking_criteria import WITHIN
-from dynasindy.findings import Finding, note
+from dynasindy.findings import Finding, note, records
 from dynasindy.identification.recording_diagnostics import low_signal_findings
 from dynasindy.identification.source import PERIOD, Source, closest_period, rates_of
 from dynasindy.identification.targets import require_radians, targets_like
@@ -94,9 +94,8 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
     controlled = metrics["verdict"].get("controlled") is not False
     written = (folder / NAME).is_file()  # a task without targets leaves no controller to check or to export
     if controlled and not swept:
-        thin = thin_margin(load(folder), SindyModel.load(folder / "model.json")) if written else ()
         flown = run_steps(folder, "evaluate", plugins=plugins_of(cfg))
-        say(*lines(thin), next_steps(*flown, *(run_steps(folder, "check", "export") if written else ())))
+        say(next_steps(*flown, *(run_steps(folder, "check", "export") if written else ())))
     elif not swept:
         lacking, words = "model.unexplained" in [f["code"] for f in metrics["findings"]], job.overrides.task
         say(improvements(folder, words, recipe.train.episodes, written, metrics["imagined_error"], lacking))
@@ -226,12 +225,13 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
         again = command_line("train", [*without(words, "model"), f"model={folder / 'model.json'}"])
         line = f"stopped; the equations are kept, plan on them without a new fit: {again}"
         raise Stopped(line, getattr(stop, "signal", 2)) from stop
-    write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})
+    thin = thin_margin(controller, model) if prediction.controlled else ()
+    metrics = {"prediction": prediction.record(), "findings": records(thin), "equations": model.equations()}
+    write_json(folder / "metrics.json", metrics)
     if flown := prediction.evaluation:
         from dynasindy.viz.response import draw_evaluation
 
         draw_evaluation(flown, figures, controller_name("gradient"), tuple(cfg.formats), prediction.place)
-    thin = thin_margin(controller, model) if prediction.controlled else ()
     say(log_report(model, prediction), *lines(thin), f"Controller: {folder / NAME}", *model.signature.own_inputs())
     if not swept:
         steps, doubted = run_steps(folder, "check", "export"), bool(prediction.doubts)

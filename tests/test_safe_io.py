@@ -1,6 +1,7 @@
 """Files and words of others: what is read, what is refused, and that pages hold no HTML of theirs."""
 
 import os
+import re
 import subprocess
 import sys
 
@@ -48,6 +49,15 @@ def test_what_is_no_table_is_damaged(tmp_path, content):
     (tmp_path / "f.csv").write_bytes(content)
     with pytest.raises(DamagedFileError, match=r"f\.csv .*damaged"):
         read_rows(tmp_path / "f.csv")
+
+
+@pytest.mark.parametrize(("row", "cells"), [("1", 1), ("1,2,3,4", 4), ("1,2,3,4,5", 5)])
+def test_a_row_of_another_length_is_named_with_what_it_has_and_what_it_may_have(tmp_path, row, cells):
+    (tmp_path / "f.csv").write_text(f"a,b,c\n1,2,3\n{row}\n")
+    with pytest.raises(DamagedFileError) as error:
+        read_rows(tmp_path / "f.csv")
+    numbers = re.findall(r"\b\d+\b", str(error.value).replace(str(tmp_path), ""))
+    assert numbers == ["2", str(cells), "3"] and "f.csv" in str(error.value)
 
 
 def test_what_is_no_file_is_not_waited_for(tmp_path):

@@ -99,7 +99,7 @@ def thin_margin(controller: Controller, model: SindyModel) -> list[Finding]:
     rows = [(k, loop_margins(rest.linear.row(k).decaying())) for k in resting]
     least, k, i = min(((each.disk, k, i) for k, row in rows for i, each in enumerate(row)), default=(math.inf, 0, 0))
     facts = {"value": least, "limit": limit, "target": targets[k].tolist(), "input": model.signature.input_names[i]}
-    return [weak("run.thin_margin", **facts)] if least < limit else []
+    return [weak("control.thin_margin", **facts)] if least < limit else []
 
 
 def _named(names: Sequence[str], values: Any) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.record import TensorboardLogger
 
+from dynasindy.checking.verdict import thin_margin
 from dynasindy.control import Controller, save
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import NAME
@@ -209,10 +210,12 @@ class Recorder(Callback):
         model.save(self.folder / "model.json")
         with replace_file(self.folder / "policy.pt") as file:
             torch.save(copy.deepcopy(self.parts.agent.deployed).cpu().state_dict(), file)
+        loop = None
         if isinstance(plant.task, Tracking) and isinstance(model, SindyModel):
             # The policy with all that it needs outside of Python, unless task or model is of a kind apart.
             setup = ControlSetup(plant.task, plant.dt, plant.substeps, plant.stops)
-            save(Controller(self.parts.agent.deployed, setup, observer), self.folder / NAME)
+            loop = Controller(self.parts.agent.deployed, setup, observer), model
+            save(loop[0], self.folder / NAME)
         known = plant.system.known  # another simulator, or a rig, does not run for longer than was asked for
         system = plant.system if known else self.parts.model_env.system
         matter = states_that_matter(system, final.columns, final.trajectory["state"][0, 0])
@@ -248,7 +251,8 @@ class Recorder(Callback):
             shares = (missed.norm(dim=0) / (data.x_next - data.x).norm(dim=0).clamp_min(1e-300)).tolist()
             large = {n: s for n, s in zip(model.signature.state_names, shares, strict=True) if not s <= UNEXPLAINED}
             unexplained = [weak("model.unexplained", shares=large)] if large else []
-        findings = [*final.beyond_targets, *unexplained, *([] if gate is None else [gate]), *verdict.findings]
+        thin = thin_margin(*loop) if loop and verdict.controlled else []
+        findings = [*final.beyond_targets, *unexplained, *thin, *([] if gate is None else [gate]), *verdict.findings]
         metrics["verdict"] = {"usable": verdict.usable, "controlled": verdict.controlled}
         metrics["findings"] = [*self.excitation, *records(findings)]
         write_json(self.folder / "metrics.json", metrics)
