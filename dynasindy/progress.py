@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -17,7 +18,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TextIO, TypeVar, cast
 
-from dynasindy.text import format_duration, wrap
+from dynasindy.text import format_duration
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Display
@@ -39,6 +40,10 @@ COLOURS = {
     r"^WEAK(?=  )": "bold yellow",
 }
 """Words that have a colour on a terminal."""
+COMMAND = re.compile(r"\s*(?:PYTHONPATH=\S+ )?(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
+"""How a line begins that is meant to be copied into a shell."""
+COMMENT = "  # "
+"""What a comment behind a command begins with."""
 
 
 class TimeIsUp(RuntimeError):
@@ -203,7 +208,7 @@ class Progress:
         """Write a line of a phase: above the bars, or to a file behind the counts of the phases around it."""
         if self.display is not None:
             console = self.display.console
-            console.print(wrap(line, console.width), style="dim", markup=False, soft_wrap=True)
+            console.print(_wrap(line, console.width), style="dim", markup=False, soft_wrap=True)
         else:
             around = [event.count() for of, (event, _) in self.phases.items() if of[0] and of != key]
             self.file.write(f"{', '.join(filter(None, [*around, line]))}\n")
@@ -271,7 +276,7 @@ def width(file: TextIO | None = None) -> int | None:
 def fit_stderr(text: str) -> str:
     """Return a text within the width of standard error: lines end between words."""
     columns = width(sys.stderr)
-    return text if columns is None else wrap(text, columns)
+    return text if columns is None else _wrap(text, columns)
 
 
 def say(*texts: str) -> None:
@@ -288,7 +293,40 @@ def say(*texts: str) -> None:
     # Only the console of the bars knows where they are; what another one writes, they would erase.
     console = active.display.console if active is not None and active.display is not None else Console()
     for text in texts:
-        shown = Text(wrap(text, columns))
+        shown = Text(_wrap(text, columns))
         for words, colour in COLOURS.items():
             shown.highlight_regex(re.compile(words, re.M), colour)
         console.print(shown, soft_wrap=True, highlight=False)
+
+
+def _wrap(text: str, columns: int) -> str:
+    """Return a text whose lines are no longer than so many columns: equations end between terms, sentences at words.
+
+    A row of several columns goes on a little further right, so that rows can be told apart.
+    A command stays one line, which the terminal wraps: of two lines, a shell would take the second for another command.
+    A comment that does not fit behind it stands below it, each of its lines a comment. A row of a table in Markdown,
+    which is to be copied into a page, stays one line as well.
+    """
+    return "\n".join(part for line in text.split("\n") for part in _wrap_line(line, columns))
+
+
+def _wrap_line(whole: str, columns: int) -> list[str]:
+    if len(whole) <= columns or whole.startswith("| "):
+        return [whole]
+    start = " " * (len(whole) - len(whole.lstrip()))
+    if COMMAND.match(whole):
+        command, sign, comment = whole.rpartition(COMMENT)
+        begin = f"{start}{COMMENT}"
+        below = textwrap.wrap(comment, columns, initial_indent=begin, subsequent_indent=begin, break_long_words=False)
+        return [command, *below] if sign else [whole]
+    equation = re.match(r"\s*\S+(?:'|\[k\+1\]) = ", whole)
+    if equation is None:
+        return _between_words(whole, columns, f"{start}    " if "  " in whole.strip() else start)
+    # It ends between terms, and within those that are too long between factors: other blanks are no breaks at first.
+    indent = " " * min(len(equation[0]), columns // 3)
+    lines = _between_words(re.sub(r" (?![+-] )", "\xa0", whole), columns, indent)
+    return [part for line in lines for part in _between_words(line.replace("\xa0", " "), columns, indent)]
+
+
+def _between_words(line: str, columns: int, indent: str) -> list[str]:
+    return textwrap.wrap(line, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)

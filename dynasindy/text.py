@@ -1,17 +1,10 @@
-"""Text for people: lengths of time, lines within the width of a terminal, and the name that was probably meant."""
+"""Text for people: lengths of time, and the name that was probably meant."""
 
 from __future__ import annotations
 
-import re
-import textwrap
 from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import NamedTuple
-
-COMMAND = re.compile(r"\s*(?:PYTHONPATH=\S+ )?(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
-"""How a line begins that is meant to be copied into a shell."""
-COMMENT = "  # "
-"""What a comment behind a command begins with."""
 
 
 class _TimeUnit(NamedTuple):
@@ -75,36 +68,3 @@ def did_you_mean(name: object, names: Iterable[str]) -> str:
     plain = {each.lower(): each for each in names}
     found = get_close_matches(str(name).lower(), plain, 1)
     return f"; did you mean '{plain[found[0]]}'?" if found else ""
-
-
-def wrap(text: str, columns: int) -> str:
-    """Return a text whose lines are no longer than so many columns: equations end between terms, sentences at words.
-
-    A row of several columns goes on a little further right, so that rows can be told apart.
-    A command stays one line, which the terminal wraps: of two lines, a shell would take the second for another command.
-    A comment that does not fit behind it stands below it, each of its lines a comment. A row of a table in Markdown,
-    which is to be copied into a page, stays one line as well.
-    """
-    return "\n".join(part for line in text.split("\n") for part in _wrap_line(line, columns))
-
-
-def _wrap_line(whole: str, columns: int) -> list[str]:
-    if len(whole) <= columns or whole.startswith("| "):
-        return [whole]
-    start = " " * (len(whole) - len(whole.lstrip()))
-    if COMMAND.match(whole):
-        command, sign, comment = whole.rpartition(COMMENT)
-        begin = f"{start}{COMMENT}"
-        below = textwrap.wrap(comment, columns, initial_indent=begin, subsequent_indent=begin, break_long_words=False)
-        return [command, *below] if sign else [whole]
-    equation = re.match(r"\s*\S+(?:'|\[k\+1\]) = ", whole)
-    if equation is None:
-        return _between_words(whole, columns, f"{start}    " if "  " in whole.strip() else start)
-    # It ends between terms, and within those that are too long between factors: other blanks are no breaks at first.
-    indent = " " * min(len(equation[0]), columns // 3)
-    lines = _between_words(re.sub(r" (?![+-] )", "\xa0", whole), columns, indent)
-    return [part for line in lines for part in _between_words(line.replace("\xa0", " "), columns, indent)]
-
-
-def _between_words(line: str, columns: int, indent: str) -> list[str]:
-    return textwrap.wrap(line, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
