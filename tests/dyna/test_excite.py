@@ -176,19 +176,6 @@ def test_the_loop_is_the_regulator_of_the_plant_near_its_start():
     assert pilot.gain[0, 1] > 0  # and damped
 
 
-def test_a_real_episode_ends_at_the_bounds_and_is_finite():
-    experiment = parts(Inverted(), max_steps=200)
-    ends = (torch.tensor([-0.4, -torch.inf]), torch.tensor([0.6, torch.inf]))
-
-    def idle(tensordict):
-        return tensordict.set("action", torch.zeros(1))
-
-    rows = _interact(experiment.env, idle, 200, ends)
-    angles = rows["next", "state"][:, 0]
-    assert len(rows) < 200 and angles[-1] > 0.6 and (angles[:-1] <= 0.6).all()
-    assert len(_interact(experiment.env, idle, 5, ends)) == 5
-
-
 class Bursting(Inverted):
     """The same pendulum, no number any more where it leaves its limits, all within one period."""
 

@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from dynasindy.dyna.folder import result
-from dynasindy.dyna.run import _check_settings, _clear
 from dynasindy.safe_io import locked
 
 
@@ -33,25 +32,6 @@ def test_a_cut_file_is_no_result(tmp_path, name, size):
     (tmp_path / "model.json").write_text(json.dumps({"library": list(range(20))}))
     (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:size])
     assert result(tmp_path, 3) is None
-
-
-def test_settings_are_the_same_whatever_does_not_change_a_result(tmp_path):
-    (tmp_path / "config.yaml").write_text("a: 1\nfolder: here\nthreads: 1\nresume: null\n")
-    _check_settings(tmp_path, "a: 1\nfolder: there\nthreads: 2\nresume: there\n")
-    _check_settings(tmp_path, "a: 1\nb: null\n")  # a setting that the other one does not have, and that says nothing
-    with pytest.raises(ValueError, match="such"):
-        _check_settings(tmp_path, "a: 2\nfolder: here\nthreads: 1\n")
-    with pytest.raises(ValueError, match="such"):
-        _check_settings(tmp_path, "a: 1\nb: 1\n")
-    with pytest.raises(ValueError, match="such"):
-        _check_settings(tmp_path, "")
-
-
-def test_only_what_a_run_makes_is_cleared(tmp_path):
-    finished(tmp_path)
-    (tmp_path / "notes.txt").write_text("mine")
-    _clear(tmp_path)
-    assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
 
 
 HOLD = (

@@ -68,10 +68,10 @@ def recipe(planning, episodes=3):
     )
 
 
-def go(folder, name, last=None, episodes=3, **options):
+def go(folder, name, last=None, episodes=3, config=PROVENANCE[0], **options):
     Plug.calls, Plug.last = 0, last
     evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2)
-    return run(recipe(PLANNERS[name], episodes), evaluating, folder, *PROVENANCE, **options)
+    return run(recipe(PLANNERS[name], episodes), evaluating, folder, config, PROVENANCE[1], **options)
 
 
 def kept(folder):
@@ -108,9 +108,15 @@ def test_a_run_stopped_again_and_again_ends_as_the_one_that_was_not(tmp_path):
     assert not (tmp_path / "parts" / "checkpoints").exists()
 
 
-def test_a_finished_run_is_not_repeated(tmp_path):
-    metrics = go(tmp_path, "none", episodes=1)
-    assert go(tmp_path, "none", last=100, episodes=1) == metrics  # but for its check, the plant is not touched
+def test_a_finished_run_is_not_repeated_and_one_of_other_settings_is_refused(tmp_path):
+    """Settings are the same whatever does not change a result, or says nothing."""
+    metrics = go(tmp_path, "none", episodes=1, config="a: 1\nfolder: here\nthreads: 1\nresume: null\n")
+    for same in ("a: 1\nfolder: there\nthreads: 2\nresume: there\n", "a: 1\nb: null\n"):
+        found = go(tmp_path, "none", last=100, episodes=1, config=same)  # but for its check, the plant is not touched
+        assert found == metrics
+    for other in ("a: 2\nfolder: here\nthreads: 1\n", "a: 1\nb: 1\n", ""):
+        with pytest.raises(ValueError, match="such"):
+            go(tmp_path, "none", episodes=1, config=other)
 
 
 def test_a_stopped_run_can_be_ended_and_then_gone_on_with(tmp_path):

@@ -56,16 +56,6 @@ def test_cross_entropy_finds_the_top_of_a_hill_for_each_start_and_no_less_than_i
     assert (torch.stack(seen).diff(dim=0) >= 0).all()
 
 
-def test_a_way_is_what_the_environment_does():
-    env = setting()
-    x, inputs = torch.tensor([[0.3, -0.2]]), torch.tensor([[[0.5]], [[-1.0]]])
-    states = _roll(env, x, inputs)
-    # Under a constant push p moves by v dt + u dt^2 / 2 and v by u dt.
-    first = torch.tensor([0.3 - 0.02 + 0.0025, -0.15])
-    second = torch.tensor([first[0] - 0.015 - 0.005, -0.25])
-    torch.testing.assert_close(states[:, 0], torch.stack([x[0], first, second]))
-
-
 def test_the_end_of_a_way_counts_by_the_square_of_its_time():
     """Cost 4 e^2 / (0.02 + e): periods at errors of 1, 0 and 0.5 m have weights 1, 4 and 9 of 14."""
     env = setting()
