@@ -55,13 +55,21 @@ COMMANDS = sorted(
         for match in re.finditer(
             r"(?:^    |`)(?:\S+=\S+ )?python scripts/(train|identify|evaluate|check|export|rig|ablation|report)\.py"
             r"([^\n`&]*)",
-            page.read_text(),
+            page.read_text().replace("\\\n", " "),
             re.M,
         )
     }
 )
 OF_OTHERS = re.compile(r"NAME|servo|mine|my_|--config-dir|swing_up|\.\.\.|PATH$")
 """Words for what a reader puts in, or writes first."""
+
+
+@pytest.mark.parametrize("page", [*PAGES, *RESULTS], ids=lambda page: page.name)
+def test_blocks_of_code_are_no_wider_than_a_page_shows(page):
+    fenced = re.findall(r"^ *```\w*\n(.*?)^ *```$", page.read_text(), re.M | re.S)
+    indented = re.findall(r"(?:(?<=\n\n)|\A)((?: {4}.*\n|\n(?= {4}))+)", page.read_text())
+    blocks = [*fenced, *(re.sub("^ {4}", "", text, flags=re.M) for text in indented)]
+    assert [line for text in blocks for line in text.splitlines() if len(line) > 88] == []
 
 
 def test_commands_are_found():

@@ -13,7 +13,8 @@ import pytest
 REPOSITORY = Path(__file__).parents[1]
 PAGE = "".join((REPOSITORY / "docs" / name).read_text() for name in ("plant.md", "extending.md"))
 BLOCKS = dict(re.findall(r"^`(\S+/\S+)`\n\n```(?:python|yaml)\n(.*?)```", PAGE, re.S | re.M))
-COMMANDS = re.findall(r"^    python (scripts/train\.py system=servo task=.*)$", PAGE, re.M)
+LINES = re.sub(r" \\\n +", " ", PAGE)
+COMMANDS = re.findall(r"^    python (scripts/train\.py system=servo task=.*)$", LINES, re.M)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +89,7 @@ def test_a_log_gets_the_library_of_the_page_for_logs(extended, source, functions
 
 
 def test_the_reward_and_the_agent_of_the_page_are_made_by_the_words_of_a_command(extended):
-    (words,) = re.findall(r"^    python scripts/train\.py (system=servo task\.reward.*)$", PAGE, re.M)
+    (words,) = re.findall(r"^    python scripts/train\.py (system=servo task\.reward.*)$", LINES, re.M)
     printed = run(
         extended,
         "-c",
@@ -107,7 +108,7 @@ def test_the_reward_and_the_agent_of_the_page_are_made_by_the_words_of_a_command
 
 
 def test_the_scenario_of_the_page_pushes_the_plant_when_it_says(extended, tmp_path):
-    (words,) = re.findall(r"^    python (scripts/evaluate\.py --config-dir .*) run=\S+ '(.*)'$", PAGE, re.M)
+    (words,) = re.findall(r"^    python (scripts/evaluate\.py --config-dir .*) run=\S+ '(.*)'$", LINES, re.M)
     run(
         extended,
         "-c",
