@@ -84,7 +84,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Plane:
+class _Plane:
     """Initial errors of two states, all others at rest, and whether the plant comes back from them.
 
     Attributes:
@@ -109,7 +109,7 @@ class Plane:
 
 
 @dataclass(frozen=True)
-class Spread:
+class _Spread:
     """What becomes of the loop with other plants, at the worst of the targets.
 
     Attributes:
@@ -124,7 +124,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class LimitCycles:
+class _LimitCycles:
     """The end of long flights, as long as one of the other flights; a row is zero where the loop is stable.
 
     Attributes:
@@ -172,9 +172,9 @@ class Check:
     sensors: Array
     steps: LoopSimulation
     drawn: LoopSimulation
-    spread: Spread
-    planes: list[Plane]
-    swings: LimitCycles
+    spread: _Spread
+    planes: list[_Plane]
+    swings: _LimitCycles
 
     @property
     def stable(self) -> Tensor:
@@ -250,7 +250,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
     )
 
 
-def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: RestingLoop, seconds: float) -> list[Plane]:
+def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: RestingLoop, seconds: float) -> list[_Plane]:
     """Start around the middle of the target range in planes of states, and see from where the plant comes back."""
     task, signature = loop.task, loop.signature
     pairs = [(task.outputs[k], rate) for k, rate in zip(task.rated, task.rates, strict=True)]
@@ -277,16 +277,16 @@ def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: Resti
     back = (left <= TOLERANCE * task.boxes()).all(-1)[:-1].unflatten(0, (len(pairs), points, points))
     names, units, error = signature.state_names, signature.state_units, flights.steady_error[-1]
     return [
-        Plane((names[a], names[b]), (units[a], units[b]), scale[a] * axis, scale[b] * axis, found, error)
+        _Plane((names[a], names[b]), (units[a], units[b]), scale[a] * axis, scale[b] * axis, found, error)
         for (a, b), found in zip(pairs, back, strict=True)
     ]
 
 
-def _limit_cycles(loop: ClosedLoop, targets: Tensor, lost: Tensor, seconds: float, begin: Tensor) -> LimitCycles:
+def _limit_cycles(loop: ClosedLoop, targets: Tensor, lost: Tensor, seconds: float, begin: Tensor) -> _LimitCycles:
     """Fly to the targets at which the loop is not stable, bool `(n_targets,)`."""
     n_r, n_u = loop.task.n_r, loop.signature.n_u
     outputs, inputs, error = (torch.zeros(len(targets), n, dtype=torch.float64) for n in (n_r, n_u, n_r))
-    found = LimitCycles(outputs, inputs, error, LONGER * seconds)
+    found = _LimitCycles(outputs, inputs, error, LONGER * seconds)
     if not bool(lost.any()):
         return found
     r, part = targets[lost], max(1, round(seconds / loop.dt))
@@ -320,7 +320,7 @@ def _variants(model: SindyModel, draws: int, seed: int) -> tuple[Tensor, str]:
 
 def _spread(
     loop: ClosedLoop, r: Tensor, nominal: RestingLoop, changed: Tensor, how: str = WITHIN, seconds: float = 20.0
-) -> Spread:
+) -> _Spread:
     """Let loops with other plants `(n, n_features, n_x)` rest at each target, from where that of the model rests."""
     count = len(changed)
     worst = torch.full((count,), 0.0 if len(r) else torch.inf, dtype=torch.float64)
@@ -331,4 +331,4 @@ def _spread(
             found = find_rest(loop.varied(changed), target.expand(count, -1), start, seconds)
         worst = worst.maximum(torch.from_numpy(found.linear.radius).where(found.still, torch.inf))
         farthest = farthest.maximum(found.error)
-    return Spread(worst, farthest, how)
+    return _Spread(worst, farthest, how)

@@ -20,7 +20,6 @@ import jinja2
 import numpy as np
 
 from dynasindy.control.controller import Array, Controller
-from dynasindy.control.files import require_sparse
 from dynasindy.control.integral import IntegralAction
 from dynasindy.sensing.observer import FAR, LEAST, NUDGE, UNKNOWN
 from dynasindy.sindy import SindyModel
@@ -219,7 +218,7 @@ def controller_sources(controller: Controller, name: str = "controller") -> Sour
         "pushed": False if observer is None else observer.pushed,
     }
     if observer is not None:
-        model, (whole, part), dt, size = require_sparse(observer), observer.late(), observer.dt, observer.scale
+        model, (whole, part), dt, size = observer.sparse_model, observer.late(), observer.dt, observer.scale
         if (n := observer.n_x + model.signature.n_u) > MANY:
             raise ValueError(f"an observer of {n} states and inputs is too large for the stack of C, {MANY} at most")
         late = observer.sensors.delay + whole

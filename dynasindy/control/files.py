@@ -84,7 +84,7 @@ def save(controller: Controller, path: str | Path) -> None:
         and {
             "sensors": asdict(observer.sensors),
             "state": observer.state_dict(),
-            "model": require_sparse(observer).record(),
+            "model": observer.sparse_model.record(),
         },
     }
     write_json(Path(path), record)
@@ -148,17 +148,6 @@ def load(path: str | Path) -> Controller:
         integral = record["integral"]
         numbers = None if integral is None else {name: _positive(value) for name, value in integral.items()}
         return Controller(policy, setup, observer, numbers)
-
-
-def require_sparse(observer: Observer) -> SindyModel:
-    """Return the model of an observer.
-
-    Raises:
-        ValueError: It is of another kind.
-    """
-    if not isinstance(observer.model, SindyModel):
-        raise ValueError(f"no file holds an observer on a {type(observer.model).__name__}; fit a SindyModel")
-    return observer.model
 
 
 def _network(layers: list[dict[str, Any]], task: Tracking) -> MLP:

@@ -26,7 +26,6 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.dyna.experiment import Components, PlantComponents
 from dynasindy.envs import ControlEnv
-from dynasindy.envs.rollout_data import measurements_and_inputs
 from dynasindy.excitation import Excitation
 from dynasindy.findings import Finding, note, weak
 from dynasindy.planning.regulator import regulated
@@ -267,4 +266,4 @@ class RegulatedExcitation:
         if parts.sensing is not None and found.model is not None:
             begins = [*(rows["step_count"].flatten() == 0).nonzero().flatten().tolist(), len(rows)]
             tries = [rows[first:end] for first, end in pairwise(begins)]
-            parts.sensing.observer.lean(found.model, [measurements_and_inputs(tried) for tried in tries])
+            parts.sensing.observer.lean(found.model, [parts.sensing.measured(tried) for tried in tries])

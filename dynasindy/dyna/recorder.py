@@ -25,7 +25,7 @@ from dynasindy.dyna.callback import Callback, Episode, Place
 from dynasindy.dyna.excite import excitation_findings
 from dynasindy.dyna.experiment import Components
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.evaluation.summary import Summary, column_headings
+from dynasindy.evaluation.summary import Summary
 from dynasindy.evaluation.tracking_criteria import (
     WITHIN,
     TrackingCriteria,
@@ -326,7 +326,7 @@ class Recorder(Callback):
     def _write_series(self, name: str, columns: Sequence[str], values: Tensor, first: int = 0) -> None:
         # Double precision, so that the fifth period of 0.05 s is at 0.25 s and not at 0.25000000372.
         time_column = (first + torch.arange(len(values), dtype=torch.float64)).unsqueeze(-1) * self.plant.dt
-        headings = column_headings(["time", *columns], self.plant.system.signature)
+        headings = self.plant.system.signature.headings(["time", *columns])
         write_csv(self.folder / "data" / f"{name}.csv", headings, torch.cat([time_column, values], -1).tolist())
 
 

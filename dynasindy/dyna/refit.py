@@ -11,7 +11,6 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from dynasindy.dyna.experiment import Components, LoopSettings
-from dynasindy.envs.rollout_data import measurements_and_inputs
 from dynasindy.planning import ModelError, replay_error
 from dynasindy.progress import report_progress
 from dynasindy.systems import Diverged
@@ -145,7 +144,7 @@ def _observe(parts: Components, newest: TensorDictBase) -> None:
         return
     rows = parts.replay.real_in_order()
     newest = rows[int((rows["step_count"].squeeze(-1) == 0).nonzero().max()) :]
-    estimates = parts.sensing.observer.learn(*measurements_and_inputs(newest))
+    estimates = parts.sensing.observer.learn(*parts.sensing.measured(newest))
     parts.replay.rewrite_newest(parts.sensing.reestimated(newest, estimates))
 
 

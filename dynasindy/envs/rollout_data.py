@@ -3,21 +3,11 @@
 from __future__ import annotations
 
 import torch
-from tensordict import TensorDictBase
 from torch import Tensor
 
 from dynasindy.systems.base import System
 from dynasindy.systems.integrators import simulate
 from dynasindy.systems.transitions import Transitions
-
-
-def measurements_and_inputs(rows: TensorDictBase) -> tuple[Tensor, Tensor]:
-    """Return what an observer reads of an episode: measurements `(T + 1, n_x)` and the commands between them.
-
-    Args:
-        rows: Control periods `(T,)` of one episode behind sensors.
-    """
-    return torch.cat([rows["measurement"][:1], rows["next", "samples"][:, -1]]), rows["action"]
 
 
 def record_plant(plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tensor | None = None) -> Transitions:

@@ -23,7 +23,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, steady_seconds, tracking_metrics
-from dynasindy.evaluation.summary import Summary, column_headings
+from dynasindy.evaluation.summary import Summary
 from dynasindy.findings import Finding, note, weak
 from dynasindy.limits import Count, check_memory, raise_if_memory
 from dynasindy.progress import report_progress
@@ -328,7 +328,7 @@ class Evaluation:
         header += [f"reference_{name}" for name in self.output_names]
         parts = (self.trajectory["state"], self.inputs, self.references)
         values = torch.cat([self.time.unsqueeze(-1), *(part[row] for part in parts)], -1)
-        write_csv(table, column_headings(["time", *header], signature), values.tolist())
+        write_csv(table, signature.headings(["time", *header]), values.tolist())
         return [figures, table]
 
 

@@ -1,10 +1,8 @@
 """An evaluation in a few numbers, as a table to read, and the headings of tables over time."""
 
-import re
 from collections.abc import Mapping, Sequence
 
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, UNITS
-from dynasindy.systems import Signature
 from dynasindy.text import SECONDS, duration_unit, format_duration
 
 Summary = dict[str, float | None]
@@ -92,9 +90,3 @@ def _columns(summary: Mapping[str, float | None], metric: str) -> list[str]:
 
 def _cell(value: float | None, factor: float = 1.0, missing: str = "-") -> str:
     return missing if value is None else f"{factor * value:.4g}"
-
-
-def column_headings(names: Sequence[str], signature: Signature) -> list[str]:
-    """Return headings of a table over time: `time [s]`, `alpha_a [rad]`, `reference_alpha_a [rad]`, `u_a [-]`."""
-    units = {**dict(zip(signature.state_names, signature.state_units, strict=True)), "time": "s"}
-    return [f"{name} [{units.get(re.sub('^(reference|predicted)_', '', name), '-')}]" for name in names]

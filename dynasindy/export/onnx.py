@@ -30,7 +30,6 @@ from torch.overrides import TorchFunctionMode
 
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlLaw, Memory
-from dynasindy.control.files import require_sparse
 from dynasindy.export.formats import field_of
 from dynasindy.safe_io import replace_file
 from dynasindy.sindy import SindyModel
@@ -115,7 +114,7 @@ class _ControlStep(nn.Module):
         policy = TensorDictModule(_Policy(controller), in_keys=["observation"], out_keys=["action"])
         observer = copy.deepcopy(controller.observer)
         if observer is not None:
-            observer.model = _Written(require_sparse(observer))
+            observer.model = _Written(observer.sparse_model)
         self.law = ControlLaw(policy, controller.setup, observer, controller.integral)
         self.shapes: tuple[tuple[int, ...], ...] = ((controller.signature.n_u,), *self.law.shapes)
         self.sizes = [math.prod(shape) for shape in self.shapes]

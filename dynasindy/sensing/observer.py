@@ -27,6 +27,7 @@ from torch import Tensor
 from dynasindy.findings import FindingError
 from dynasindy.sensing.offset import correction
 from dynasindy.sensing.sensors import LONGEST, Sensors
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Altered, Diverged, Signature, Stops, System, integrate
 from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import Steps, split_delay, steps_of
@@ -271,6 +272,17 @@ class Observer:
         self.first, self.q = model, self._candidates()
         likelihoods = torch.stack([self.follow(y, u)[2].sum(-1) for y, u in logs]).sum(0)
         self.q = self.q[int(likelihoods.argmax())].clone()
+
+    @property
+    def sparse_model(self) -> SindyModel:
+        """Its model, for files that hold sparse ones alone.
+
+        Raises:
+            ValueError: It is of another kind.
+        """
+        if not isinstance(self.model, SindyModel):
+            raise ValueError(f"no file holds an observer on a {type(self.model).__name__}; fit a SindyModel")
+        return self.model
 
     @torch.no_grad()
     def learn(self, y: Tensor, u: Tensor) -> Tensor:

@@ -46,6 +46,15 @@ class Sensing(Transform):
         self.__dict__["env"] = env  # transforms have parents, not children
         self.observer, self.rng, self.sensors = observer, rng, sensors or observer.sensors
 
+    @staticmethod
+    def measured(rows: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Return what an observer reads of an episode: measurements `(T + 1, n_x)` and the commands between them.
+
+        Args:
+            rows: Control periods `(T,)` of one episode behind sensors.
+        """
+        return torch.cat([rows["measurement"][:1], rows["next", "samples"][:, -1]]), rows["action"]
+
     def on(self, env: ControlEnv, rng: torch.Generator) -> Sensing:
         """Return the same sensors and observer for another environment of the same plant, with their own generator."""
         return Sensing(env, self.observer, rng, self.sensors)

@@ -235,6 +235,11 @@ class Signature:
             lines.append(f"the plant's {name} is {zero}{one:.6g}{unit} times the controller's{within}")
         return lines
 
+    def headings(self, names: Sequence[str]) -> list[str]:
+        """Return headings of a table over time: `time [s]`, `alpha_a [rad]`, `reference_alpha_a [rad]`, `u_a [-]`."""
+        units = {**dict(zip(self.state_names, self.state_units, strict=True)), "time": "s"}
+        return [f"{name} [{units.get(re.sub('^(reference|predicted)_', '', name), '-')}]" for name in names]
+
     def in_own_units(self, u: ArrayLike) -> NDArray[np.float64]:
         """Return inputs of [-1, 1], `(*batch, n_u)`, in the units of their actuators."""
         low, high = np.array(self.input_ends or (WHOLE,) * self.n_u).T

@@ -8,7 +8,8 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
 from dynasindy.envs import ControlEnv
-from dynasindy.envs.rollout_data import measurements_and_inputs, record_plant
+from dynasindy.envs.rollout_data import record_plant
+from dynasindy.sensing import Sensing
 from dynasindy.systems import Tras, rk4
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.steps import Stops
@@ -139,6 +140,6 @@ def test_an_observer_reads_the_first_measurement_and_that_at_the_end_of_each_per
         },
         [2],
     )
-    y, u = measurements_and_inputs(rows)
+    y, u = Sensing.measured(rows)
     torch.testing.assert_close(y, torch.tensor([[0.5], [2.0], [torch.nan]]), equal_nan=True)
     assert u.flatten().tolist() == pytest.approx([0.1, 0.2])
