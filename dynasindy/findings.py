@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
 
-from dynasindy.sentences import sentence
+from dynasindy.sentences import HEADS, sentence
 
 Severity = Literal["note", "weak", "wrong"]
 
@@ -29,6 +29,10 @@ class Finding:
 
     def __str__(self) -> str:
         return sentence(self.code, self.values)
+
+    def line(self, note: str = "note") -> str:
+        """Return it as a line of a report, which begins with its severity, or with what a note is called there."""
+        return f"{note if self.severity == 'note' else HEADS[self.severity]}: {self}"
 
     def record(self) -> dict[str, Any]:
         """Return it as JSON can hold it, numbers that are not finite as `inf`, `-inf` and `nan`."""

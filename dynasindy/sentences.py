@@ -82,14 +82,9 @@ def gravest_first(findings: Iterable[Finding]) -> list[Finding]:
     return sorted(findings, key=lambda each: -[*HEADS].index(each.severity))
 
 
-def line(finding: Finding) -> str:
-    """Return a finding as a line of a report."""
-    return f"{HEADS[finding.severity]}: {finding}"
-
-
 def lines(findings: Iterable[Finding]) -> list[str]:
     """Return a line for each finding, the gravest first."""
-    return list(map(line, gravest_first(findings)))
+    return [each.line() for each in gravest_first(findings)]
 
 
 class _Formatter(string.Formatter):

@@ -71,7 +71,7 @@ from dynasindy.progress import reporting_as, say, width
 from dynasindy.safe_io import checked
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sensing.offset import acting
-from dynasindy.sentences import line, lines
+from dynasindy.sentences import lines
 from dynasindy.sindy import Refinement, SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.reconstruction import rate_states
@@ -361,9 +361,7 @@ def model_of(source: Source | None, build: Callable[..., SindyModel], path: str 
     if before := before_fit(built, source):
         say(*lines(before))
     found = fit_log(built, source)
-    say(
-        found.report.to_text(), *(f"found: {each}" if each.severity == "note" else line(each) for each in found.content)
-    )
+    say(found.report.to_text(), *(each.line("found") for each in found.content))
     return found.model
 
 

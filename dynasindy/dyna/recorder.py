@@ -242,7 +242,7 @@ class Recorder(Callback):
         if observer is not None:
             metrics["observer"] = observer.state_dict()
             write_json(self.folder / "observer.json", metrics["observer"])
-        gate, verdict, unexplained = distrusted(self.decisions), judge_run(metrics, self.evaluating.within), []
+        verdict, unexplained = judge_run(metrics, self.evaluating.within, self.decisions), []
         if sensing is None:  # of which states the model misses much of the changes; noise of sensors is none
             seen = Transitions.from_periods(self.parts.replay.real_in_order(), self.parts.model_env.log_dt)
             data = delay_inputs(seen, getattr(model, "delay", 0.0))
@@ -252,7 +252,7 @@ class Recorder(Callback):
             large = {n: s for n, s in zip(model.signature.state_names, shares, strict=True) if not s <= UNEXPLAINED}
             unexplained = [weak("model.unexplained", shares=large)] if large else []
         thin = thin_margin(*loop) if loop and verdict.controlled else []
-        findings = [*final.beyond_targets, *unexplained, *thin, *([] if gate is None else [gate]), *verdict.findings]
+        findings = [*final.beyond_targets, *unexplained, *thin, *verdict.findings]
         metrics["verdict"] = {"usable": verdict.usable, "controlled": verdict.controlled}
         metrics["findings"] = [*self.excitation, *records(findings)]
         write_json(self.folder / "metrics.json", metrics)
@@ -342,7 +342,9 @@ class _RunVerdict(NamedTuple):
     findings: tuple[Finding, ...]
 
 
-def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> _RunVerdict:
+def judge_run(
+    metrics: Mapping[str, Any], within: float = WITHIN, decisions: Sequence[Mapping[str, float | None]] = ()
+) -> _RunVerdict:
     """Compare the trained policy with the untrained one, and with what was asked for, in the scenario of both.
 
     Args:
@@ -350,6 +352,7 @@ def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> _RunVerdict
             `return`, None where it is not finite, and `held`, see `evaluation.tracking_criteria`; and the number of its
             `episodes`, without which there is no `gate.csv`.
         within: Mean absolute error at the end that is asked for, in ranges of targets.
+        decisions: Rows of `gate.csv`, which tell in how many episodes the model was not trusted, and why the last time.
     """
     untrained, trained = (_number(metrics[key]["return"]) for key in ("untrained", "evaluation"))
     finite = math.isfinite(trained) and math.isfinite(untrained)
@@ -361,22 +364,13 @@ def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> _RunVerdict
     else:
         compared = wrong("run.no_better", **facts, episodes=bool(metrics.get("episodes", 1)))
     controlled, tracked = judge_control([TrackingCriteria(**metrics["held"])], within, grew=usable)
-    return _RunVerdict(usable, controlled, (compared, tracked))
-
-
-def distrusted(decisions: Sequence[Mapping[str, float | None]]) -> Finding | None:
-    """Return in how many episodes the model was not trusted, and why the last time; None where it always was.
-
-    Args:
-        decisions: Rows of `gate.csv`.
-    """
-    closed = [row for row in decisions if not row["open"]]
-    if not closed:
-        return None
-    last = {key: _number(value) for key, value in closed[-1].items()}
-    counts = {"closed": len(closed), "episodes": len(decisions), "episode": int(last["episode"])}
-    limits = {key: last[key] for key in ("open_below", "close_above")}
-    return weak("run.gate_closed", **counts, error=last["judged_reward_error"], **limits)
+    findings = [compared, tracked]
+    if closed := [row for row in decisions if not row["open"]]:
+        last = {key: _number(value) for key, value in closed[-1].items()}
+        counts = {"closed": len(closed), "episodes": len(decisions), "episode": int(last["episode"])}
+        limits = {key: last[key] for key in ("open_below", "close_above")}
+        findings.insert(0, weak("run.gate_closed", **counts, error=last["judged_reward_error"], **limits))
+    return _RunVerdict(usable, controlled, tuple(findings))
 
 
 def _number(value: float | None) -> float:

@@ -18,7 +18,7 @@ from dynasindy.findings import Finding, note
 from dynasindy.limits import is_memory_error, memory_wanted, raise_if_memory
 from dynasindy.progress import Progress, width
 from dynasindy.safe_io import locked, read_json, refuse_links, remove_leftovers, write_json, write_text
-from dynasindy.sentences import check_summary, line
+from dynasindy.sentences import check_summary
 from dynasindy.systems import Diverged
 from dynasindy.text import format_duration
 
@@ -199,7 +199,7 @@ def run_report(metrics: dict[str, Any], folder: Path) -> str:
         f"control periods. The model imagined {cost['imagined_transitions']} periods, and the policy was updated "
         f"{cost['updates']} times, all in {format_duration(round(cost['wall_seconds']))}. The evaluations moved the "
         f"plant for {cost['evaluation_steps']} periods more, from which nothing was learnt.",
-        *(line(each) for each in findings if not each.code.startswith("run.")),
+        *(each.line() for each in findings if not each.code.startswith("run.")),
         *([f"Reward: {metrics['reward']}"] if metrics.get("reward") else []),
         *([f"The model says of the plant: {of_plant}."] if of_plant else []),
         *([] if nis is None else [NIS.format(nis)]),

@@ -37,7 +37,7 @@ from dynasindy.identification.recording_diagnostics import low_signal_findings, 
 from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source, rates_of
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import checked, write_json, write_text
-from dynasindy.sentences import error_of, gravest_first, line, lines
+from dynasindy.sentences import error_of, gravest_first, lines
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.delay import delay_inputs
@@ -195,7 +195,7 @@ class Identified(LogFit):
             *_errors(self.model),
             "",
             self.report.to_text(),
-            *(f"found: {each}" if each.severity == "note" else line(each) for each in self.content),
+            *(each.line("found") for each in self.content),
             "",
             *(table(forecasts, source.signature, columns) if forecasts is not None else []),
             f"one prediction of all data that the fit did not see{self.restarts}, relative to "
@@ -203,7 +203,7 @@ class Identified(LogFit):
         ]
         for state, error in self.metrics["open_loop_nrmse"].items():
             text.append(f"  {state:<10} " + (f"{100 * error:.3g} %" if math.isfinite(error) else "runs away"))
-        return "\n".join([*text, f"verdict: {first}", *map(line, others)])
+        return "\n".join([*text, f"verdict: {first}", *(each.line() for each in others)])
 
     def save(self, folder: Path, before: Sequence[Finding] = ()) -> None:
         """Write model.json, metrics.json, report.txt and the coefficients as text and CSV.

@@ -26,7 +26,6 @@ from dynasindy.planning import GradientPlanning
 from dynasindy.rig.base import Array, Rig, RigClock, Wiring
 from dynasindy.rig.flight import ROUNDING, FlightResult, Guard, run_flight
 from dynasindy.rig.log import LAST, FlightRecord, Log
-from dynasindy.sentences import line
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.systems import Diverged, Signature
@@ -214,7 +213,7 @@ class Session:
         with warnings.catch_warnings(action="ignore"):  # they are among the findings
             model = identify(log, knowledge.library, knowledge.known, longest_delay=knowledge.longest_delay)
         for each in model.findings:
-            self.tell(f"  {line(each)}")
+            self.tell(f"  {each.line()}")
         model.save(self.folder / "model.json")
         self.model = model
         for equation in model.equations():

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from dynasindy.findings import Finding, note
-from dynasindy.sentences import line
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.regression import TriangularFactor
@@ -138,4 +137,5 @@ class FitReport:
             left = f"nothing of {it} stays unexplained" if part <= EXACT else left  # what is not a number is not exact
             missed = "" if simulated else f"; {left}"
             lines.append(f"  {state}{moves.format(state)}: {counts[state]}{missed}")
-        return "\n".join([*lines, *map(str, self.accuracy), *map(line, self.findings), str(self.identifiability)])
+        lines += [*map(str, self.accuracy), *(each.line() for each in self.findings), str(self.identifiability)]
+        return "\n".join(lines)

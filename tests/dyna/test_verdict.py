@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from dynasindy.dyna.recorder import distrusted, judge_run
+from dynasindy.dyna.recorder import judge_run
 from dynasindy.findings import note, weak
 
 HELD = {"share": {"x": 0.004}, "worst": {"x": 0.02}, "away": {}, "idle": {}}
@@ -122,10 +122,11 @@ def decision(episode, reward, is_open=0.0):
 )
 def test_a_model_that_was_not_trusted_is_told_with_its_error_and_the_limits(rows, counts, error):
     facts = dict(zip(("closed", "episodes", "episode"), counts, strict=True))
-    told = distrusted(rows)
+    told, *_ = judge_run(metrics(1.0, 2.0), decisions=rows).findings
     assert told == weak("run.gate_closed", **facts, error=error, open_below=0.05, close_above=0.1)
     assert "\n" not in str(told)
 
 
 def test_of_a_model_that_was_always_trusted_nothing_is_told():
-    assert distrusted([]) is None is distrusted([decision(1, 0.01, is_open=1.0)])
+    plain = judge_run(metrics(1.0, 2.0)).findings
+    assert judge_run(metrics(1.0, 2.0), decisions=[decision(1, 0.01, is_open=1.0)]).findings == plain
