@@ -111,7 +111,7 @@ class Simulation:
     def _repr_png_(self) -> bytes:
         """Return the figure of the first run, which a notebook shows."""
         picture = io.BytesIO()
-        self.plot().savefig(picture, format="png", dpi=100)
+        self.plot().savefig(picture, format="png", dpi=72)
         return picture.getvalue()
 
 
