@@ -41,7 +41,6 @@ from dynasindy.sentences import error_of, gravest_first, lines
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.delay import delay_inputs
-from dynasindy.sindy.equations import mapping
 from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.sindy.shooting import choose_stretches
@@ -386,7 +385,7 @@ def _errors(model: SindyModel) -> list[str]:
 def _coefficient_lines(model: SindyModel, known: Covariance) -> list[str]:
     """Write a line for each coefficient that was fitted, such as `v'  -9.81 ± 0.03  sin(p)`, functions last."""
     # Of a difference equation it is that of the right side, whose coefficients are the step times those of the rates.
-    library, table = mapping(model.library, model.coefficients)
+    library, table = model.library.mapping(model.coefficients)
     place = {feature.key: k for k, feature in enumerate(library.features)}
     sides = [library.left_side(state) for state in library.signature.state_names]
     errors = ((library.step or 1.0) * known.errors).tolist()
@@ -410,7 +409,7 @@ def _plus_minus(value: float, error: float) -> str:
 
 def _coefficient_tables(model: SindyModel) -> dict[str, str]:
     """Return the Xi table, a row for each function, as text of 5 and as CSV of all digits, by the endings of files."""
-    library, coefficients = mapping(model.library, model.coefficients)
+    library, coefficients = model.library.mapping(model.coefficients)
     states, units = library.signature.state_names, library.signature.state_units
     left = [library.left_side(state) for state in states]
     rates = [f"d({state})/dt [{unit}/s]" for state, unit in zip(states, units, strict=True)]

@@ -10,7 +10,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dynasindy.sindy.equations import require_finite
 from dynasindy.sindy.functions import TORCH_FUNCTIONS, function
 from dynasindy.sindy.library import Factor, Library
 from dynasindy.systems.integrators import moved
@@ -34,7 +33,7 @@ def generate(library: Library, coefficients: Tensor) -> Field:
         Diverged: a coefficient is not finite.
         ValueError: the model has more functions than can be written.
     """
-    writer = _TorchWriter(library, require_finite(library, coefficients))
+    writer = _TorchWriter(library, library.require_finite(coefficients))
     source, values = writer.source(), writer.constants
     # As tensors of each dtype and device in use: an operation then need not make them each time.
     constants = cache(lambda dtype, device: tuple(torch.tensor(v, dtype=dtype, device=device) for v in values))

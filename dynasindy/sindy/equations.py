@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import torch
 from torch import Tensor
 
 from dynasindy.sindy.functions import QUOTIENTS
-from dynasindy.sindy.library import Feature, Library, of, variable
-from dynasindy.systems.base import Diverged
+from dynasindy.sindy.library import Feature, Library, of
 
 NEAR = 0.5
 """Part of the smaller of two numbers below which their sum shows that they nearly cancel."""
-CANCELLED = 1e-9
-"""Part of its own change that is left of a state, below which nothing is."""
 
 
 def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[str]:
@@ -29,7 +25,7 @@ def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[s
         Lines such as `Omega_p' = -0.414 Omega_p + 0.0013 omega_p`; of a difference equation such as
         `p[k+1] = p + v + 0.0015 force`, all on the right at k.
     """
-    library, coefficients = mapping(library, coefficients)
+    library, coefficients = library.mapping(coefficients)
     lines = []
     for i, state in enumerate(library.signature.state_names):
         groups: dict[str, list[tuple[str, float]]] = {}
@@ -71,33 +67,6 @@ def _without_cancelling(terms: dict[Feature, float]) -> list[tuple[Feature, floa
     return [*terms.items()]
 
 
-def mapping(library: Library, coefficients: Tensor) -> tuple[Library, Tensor]:
-    """Return what stands on the right of the equations: of a difference equation x[k] + step Xi' Theta, as one sum.
-
-    Args:
-        library: candidate functions.
-        coefficients: Xi, `(n_features, n_x)`: rates of change.
-
-    Returns:
-        The library, with the states themselves where it is one of a difference equation, and the coefficients of the
-        right sides.
-    """
-    step = library.step
-    if step is None:
-        return library, coefficients
-    names = library.signature.state_names
-    whole = Library(library.signature, [*map(variable, names), *library.features], step=step)
-    table = torch.zeros(len(whole), len(names), dtype=coefficients.dtype)
-    place = {feature.key: k for k, feature in enumerate(whole.features)}
-    rows = [place[feature.key] for feature in library.features]
-    table[rows] = step * coefficients
-    for i, name in enumerate(names):
-        own = place[variable(name).key]
-        rate = float(table[own, i])
-        table[own, i] = 1 + rate if abs(1 + rate) > CANCELLED * abs(rate) else 0.0
-    return whole, table
-
-
 def format_sum(terms: Sequence[tuple[str, float]], digits: int) -> str:
     """Write coefficients and functions as a sum."""
     written = ""
@@ -106,19 +75,3 @@ def format_sum(terms: Sequence[tuple[str, float]], digits: int) -> str:
         size = f"{abs(value):.{digits}g}"
         written += sign + (size if name == "1" else name if size == "1" else f"{size} {name}")
     return written
-
-
-def require_finite(library: Library, coefficients: Tensor, source: str = "model") -> Tensor:
-    """Return coefficients, `(n_features, n_x)`, as they are; `source` is what found them, for the message.
-
-    Raises:
-        Diverged: one of them is not finite.
-    """
-    if len(wrong := (~coefficients.isfinite()).nonzero()):
-        k, i = wrong[0].tolist()
-        place = f"{library.names[k]} in {library.change_of(library.signature.state_names[i])}"
-        raise Diverged(
-            f"model learning: the {source} has {len(wrong)} coefficients that are not finite, such as "
-            f"{coefficients[k, i].item()} of {place}; leave that function out of the library, or check the data's units"
-        )
-    return coefficients

@@ -13,7 +13,6 @@ import math
 import re
 
 from dynasindy.sindy.codegen import Writer
-from dynasindy.sindy.equations import mapping
 from dynasindy.sindy.model import SindyModel
 from dynasindy.systems.machine import Program
 
@@ -54,7 +53,7 @@ def right_sides(model: SindyModel) -> Program:
     Raises:
         ValueError: The model has too many terms.
     """
-    return _FormulaWriter(*mapping(model.library, model.coefficients)).program()
+    return _FormulaWriter(*model.library.mapping(model.coefficients)).program()
 
 
 class _FormulaWriter(Writer):

@@ -17,12 +17,14 @@ from torch import Tensor
 
 from dynasindy.sentences import setting
 from dynasindy.sindy.functions import function
-from dynasindy.systems.base import Signature
+from dynasindy.systems.base import Diverged, Signature
 
 FARTHEST = 30.0
 """Factor between the first guess of a number inside a function and what is fitted, either way."""
 LARGEST_POWER = 100
 """Power beyond which a function of a file or of words is taken for a mistake."""
+CANCELLED = 1e-9
+"""Part of its own change that is left of a state, below which nothing is."""
 
 
 @dataclass(frozen=True, order=True)
@@ -307,6 +309,47 @@ class Library:
     def change_of(self, state: str) -> str:
         """Return what the coefficients of a state are those of: its rate, or its change in a step of the equation."""
         return self.left_side(state) if self.step is None else f"the change of {state}"
+
+    def mapping(self, coefficients: Tensor) -> tuple[Library, Tensor]:
+        """Return what stands on the right of the equations: of a difference equation x[k] + step Xi' Theta, as one sum.
+
+        Args:
+            coefficients: Xi, `(n_features, n_x)`: rates of change.
+
+        Returns:
+            The library, with the states themselves where it is one of a difference equation, and the coefficients of
+            the right sides.
+        """
+        step = self.step
+        if step is None:
+            return self, coefficients
+        names = self.signature.state_names
+        whole = Library(self.signature, [*map(variable, names), *self.features], step=step)
+        table = torch.zeros(len(whole), len(names), dtype=coefficients.dtype)
+        place = {feature.key: k for k, feature in enumerate(whole.features)}
+        rows = [place[feature.key] for feature in self.features]
+        table[rows] = step * coefficients
+        for i, name in enumerate(names):
+            own = place[variable(name).key]
+            rate = float(table[own, i])
+            table[own, i] = 1 + rate if abs(1 + rate) > CANCELLED * abs(rate) else 0.0
+        return whole, table
+
+    def require_finite(self, coefficients: Tensor, source: str = "model") -> Tensor:
+        """Return coefficients, `(n_features, n_x)`, as they are; `source` is what found them, for the message.
+
+        Raises:
+            Diverged: one of them is not finite.
+        """
+        if len(wrong := (~coefficients.isfinite()).nonzero()):
+            k, i = wrong[0].tolist()
+            place = f"{self.names[k]} in {self.change_of(self.signature.state_names[i])}"
+            raise Diverged(
+                f"model learning: the {source} has {len(wrong)} coefficients that are not finite, such as "
+                f"{coefficients[k, i].item()} of {place}; leave that function out of the library, or check the "
+                "data's units"
+            )
+        return coefficients
 
     def subset(self, indices: Sequence[int]) -> Library:
         """Keep the features at the given positions."""

@@ -32,7 +32,7 @@ from dynasindy.sentences import setting
 from dynasindy.sindy.codegen import Field, Writer, generate, simulate
 from dynasindy.sindy.covariance import Covariance, of_rates
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay
-from dynasindy.sindy.equations import equations, require_finite
+from dynasindy.sindy.equations import equations
 from dynasindy.sindy.fit_report import FitReport, Refined
 from dynasindy.sindy.functions import FunctionError, formula_texts, registering
 from dynasindy.sindy.library import Constraints, Feature, Library
@@ -172,7 +172,7 @@ class SindyModel(WorldModel):
             return
         self._field = self._fastest = None
         self._machines.clear()
-        require_finite(self.library, self.coefficients)
+        self.library.require_finite(self.coefficients)
         self._field_of = self.coefficients, self.coefficients._version, self.library
 
     def __getstate__(self) -> dict[str, object]:
@@ -526,7 +526,7 @@ class SindyModel(WorldModel):
             found = self.refinement.run(before[:2], known, recording, late, self.named in GENERAL)
         except RunsAway as error:
             raise Diverged(f"model learning: {error}") from error
-        refined = require_finite(self.library, found.coefficients, "refinement")
+        refined = self.library.require_finite(found.coefficients, "refinement")
         if self.coefficients[known.free].any() and not refined[known.free].any():
             return before._replace(findings=(weak("fit.dropped"),))
         self.set_coefficients(refined)
@@ -567,7 +567,7 @@ class SindyModel(WorldModel):
     def _solve(self, factor: TriangularFactor, dependent: float = DEPENDENT) -> None:
         regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression
         found = regression.solve(factor, self.constraints.free, self.constraints.offset)
-        self.set_coefficients(require_finite(self.library, found, "regression"))
+        self.set_coefficients(self.library.require_finite(found, "regression"))
 
 
 def _screened(rows: Rows, free: Tensor, offset: Tensor, complexity: Sequence[float], most: int) -> list[int]:
