@@ -139,7 +139,7 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
     for i, axis in enumerate(axes[n_r:]):
         for row, look in zip(inputs, looks, strict=True):
             draw_input(axis, seconds[:-1], row, signature, i, **look)
-    legend(axes[0], "below")
+    legend(axes[0], below=True)
     time_axis(figure, seconds)
     cut_time(figure)
     return figure

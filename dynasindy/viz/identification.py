@@ -175,7 +175,7 @@ def _finish(figure: Figure, seconds: Array, segment: ArrayLike | None) -> None:
     breaks = _breaks(segment)
     if len(breaks) <= MOST:
         _mark(figure.axes, seconds[breaks], color=GREY, linestyle=":", linewidth=0.9, label=GAP)
-    legend(figure.axes[0], "below")
+    legend(figure.axes[0], below=True)
     time_axis(figure, time_span(seconds), "time without the gaps" if breaks else "time")
 
 

@@ -110,7 +110,7 @@ def tracking(
         text = f"steady state: last {format_duration(steady, longest=end - start, digits=3)}"
         for axis in axes[: target.shape[1]]:
             axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=text)
-    legend(axes[0], "below")
+    legend(axes[0], below=True)
     return figure
 
 
@@ -133,7 +133,7 @@ def _error_fan(evaluation: Evaluation, title: str) -> Figure:
         least = float(np.quantile(np.append(p05[p05[:, i] > 0, i], band), 0.1))
         axis.set_ylim(bottom=0.5 * max(least, LEAST * band))
         axis.set_ylabel(f"|error| of {label(name, unit)}")
-    legend(axes[0], "above")
+    legend(axes[0], below=True)
     time_axis(figure, time_span(seconds))
     return figure
 
@@ -228,7 +228,7 @@ def _draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -
             axis.axvline(ended, color=RED, linewidth=1.0, label="ended, safe input")
     time_axis(figure, (0.0, planned))
     figure.axes[-1].set_xlim(right=planned * (1 + LATE * bool(shown.fault)))
-    legend(figure.axes[0], "below")
+    legend(figure.axes[0], below=True)
     return figure
 
 
@@ -240,7 +240,7 @@ def _draw_excitation(found: tuple[Array, Array, Array], wiring: Wiring, guard: G
     seen = [i for i in range(states.shape[1]) if not np.isnan(states[:, i]).all()]
     for axis, place in zip(figure.axes, seen, strict=False):
         _draw_range(figure, axis, guard.ranges.get(wiring.signature.state_names[place], ()))
-    legend(figure.axes[0], "below")
+    legend(figure.axes[0], below=True)
     return figure
 
 
@@ -255,7 +255,7 @@ def _shade_disturbances(figure: Figure, windows: Sequence[tuple[float, float]]) 
         for axis in figure.axes:
             axis.axvspan(start, end, color=ORANGE, alpha=0.2, lw=0, label="disturbed")
     if windows:
-        legend(figure.axes[0], "below")
+        legend(figure.axes[0], below=True)
 
 
 def _draw_range(figure: Figure, axis: Axes, ends: Sequence[float]) -> None:

@@ -127,7 +127,7 @@ def _learning_curve(progress: pd.DataFrame, untrained: float) -> Figure:
     axis.set_xlabel("real episode")
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_ylabel("return [-]")
-    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
+    legend(axis, below=True)
     return figure
 
 

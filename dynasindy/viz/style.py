@@ -5,7 +5,7 @@ import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import Any, Literal, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import matplotlib
 import numpy as np
@@ -31,7 +31,7 @@ BLUE, RED, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 CYCLE = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 GREY = "#7f7f7f"
 ROW = 13.5
-"""Letters that a row of a legend above an axis or below a figure holds for each inch."""
+"""Letters that a row of a legend below a figure holds for each inch."""
 LEGEND = 60
 """Letters that a row of a legend beside an axis holds."""
 USED = 0.1
@@ -103,7 +103,8 @@ def panels(
     for axis in axes.flat:
         axis.xaxis.set_major_locator(MaxNLocator(steps=[1, 2, 5, 10]))
     if title:
-        title = MINUS.sub("\N{MINUS SIGN}", title)
+        title = MINUS.sub("\N{MINUS SIGN}", title).replace("s^2", "s\N{SUPERSCRIPT TWO}")
+        title = re.sub(rf"\b({'|'.join(GREEK)})_[^\W_]+\b", lambda found: symbol(found[0]), title)
         letters = int(11 * size[0])  # some eleven an inch
         lines = [textwrap.fill(line, letters, break_long_words=False) for line in title.split("\n")]
         figure.suptitle("\n".join(lines), fontsize=11)
@@ -234,26 +235,21 @@ def cut_time(figure: Figure) -> bool:
     return True
 
 
-def legend(axis: Axes, place: Literal["above", "beside", "below"] = "beside") -> None:
-    """Put the legend where no line can run through it: above an axis, to its right, or below its figure.
-
-    What is drawn twice is named once.
-    """
+def legend(axis: Axes, below: bool = False) -> None:
+    """Put the legend where no line can run through it, beside its axis or below its figure, each once."""
     named = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
     handles, words = list(named.values()), list(named)
     if not named:
         return
-    # An entry takes its letters and a sample of its line; more than a row holds would leave the figure.
-    rows = -(-sum(len(name) + 6 for name in words) // int(ROW * axis.figure.bbox.width / axis.figure.dpi))
-    look: dict[str, Any] = {"columnspacing": 1.2, "handlelength": 1.6, "ncols": -(-len(words) // rows)}
-    if place == "below":
-        axis.figure.legends.clear()
-        axis.figure.legend(handles, words, loc="outside lower center", **look)
-    elif place == "beside":
+    if not below:
         words = [textwrap.fill(name, LEGEND) for name in words]
         axis.legend(handles, words, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    else:
-        axis.legend(handles, words, loc="lower right", bbox_to_anchor=(1.0, 1.0), **look)
+        return
+    # An entry takes its letters and a sample of its line; more than a row holds would leave the figure.
+    rows = -(-sum(len(name) + 6 for name in words) // int(ROW * axis.figure.bbox.width / axis.figure.dpi))
+    columns = -(-len(words) // rows)
+    axis.figure.legends.clear()
+    axis.figure.legend(handles, words, loc="outside lower center", columnspacing=1.2, handlelength=1.6, ncols=columns)
 
 
 def save_figures(figures: Mapping[str, Figure], folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:

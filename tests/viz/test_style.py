@@ -49,7 +49,7 @@ def test_labels_fit_beside_their_panel_and_legends_below_their_figure(name: str)
     figure, axes = time_panels([name] * 6, ["rad/s"] * 6, "")
     axes[0].plot([0, 1], [0, 1], label="a line of " + 60 * "w")
     axes[0].plot([0, 1], [1, 0], label="another of " + 60 * "w")
-    legend(axes[0], "below")
+    legend(axes[0], below=True)
     renderer = FigureCanvasAgg(figure).get_renderer()
     figure.draw(renderer)
     boxes = [axis.yaxis.label.get_window_extent(renderer) for axis in axes[::2]]
@@ -63,6 +63,12 @@ def test_the_axis_of_an_input_that_hardly_moves_shows_how_it_does() -> None:
     draw_input(shown, np.arange(3.0), np.array([[0.01], [0.02], [0.01]]), Signature(("x",), ("m",), ("u",), (1.0,)), 0)
     low, high = shown.get_ylim()
     assert 0 < low < 0.01 and 0.02 < high < 0.03
+
+
+def test_a_title_has_greek_letters_for_names_and_not_for_words():
+    figure, _ = panels(1, title="Plant xi, pushed by 0.5 rad/s^2 on Omega_a, not alpha_a_rate")
+    words = figure.get_suptitle().split()
+    assert words[:2] == ["Plant", "xi,"] and words[5:] == ["rad/s²", "on", r"$\Omega_{a}$,", "not", "alpha_a_rate"]
 
 
 @pytest.mark.parametrize("name", ["größe", "x12", "T_in2", "theta_1", "u"])
