@@ -188,8 +188,10 @@ def command_line(name: str, words: Sequence[str], comment: str = "") -> str:
     """Return a command as a shell takes it, with the folder of the user's own settings, and what comes of it."""
     own = ["--config-dir", folder] if (folder := config_dir()) else []
     line = " ".join([program(name), *map(shlex.quote, [*own, *words])])
-    if (path := os.environ.get("PYTHONPATH")) and any(word.startswith("plugins=") for word in words):
-        line = f"PYTHONPATH={shlex.quote(path)} {line}"
+    added = str(Path(__file__).resolve().parent)  # which a command adds for its workers
+    paths = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path not in ("", added)]
+    if paths and any(word.startswith("plugins=") for word in words):
+        line = f"PYTHONPATH={shlex.quote(os.pathsep.join(paths))} {line}"
     return f"{line}  # {comment}" if comment else line
 
 
