@@ -219,7 +219,7 @@ def forecast_errors(
     if not len(validation):
         return None
     time = characteristic(training, model.signature)
-    fit = min(max(round(time / 4 / validation.dt), SHORTEST_FIT), LONGEST_FIT)
+    fit = min(max(round(time / 4 / validation.dt), round(model.memory / validation.dt), SHORTEST_FIT), LONGEST_FIT)
     while (reach := start_rows(validation, fit)[1]) < 2 * fit and fit > 2:
         fit //= 2
     steps = [round(h / validation.dt) for h in horizons or _horizons(model, training, time)]
@@ -267,7 +267,12 @@ def _horizons(model: SindyModel, data: Transitions, time: float) -> list[float]:
 
 
 def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[int]) -> int:
-    """Return on how many samples before a start its states are best estimated: doubled while that helps."""
+    """Return on how many samples before a start its states are best estimated: doubled while that helps.
+
+    Where a fit has kept data to tell, it is as many as were best there.
+    """
+    if model.memory:
+        return min(longest, max(1, round(model.memory / data.dt)))
     # More of them average the noise, but what the model lacks, pushes, and what grows spoil an estimate the more.
     lengths = [longest >> k for k in range(longest.bit_length()) if not k or longest >> k >= SHORTEST_FIT]
     starts, _ = start_rows(data, longest, steps[0])
@@ -302,7 +307,7 @@ def predict_from(model: SindyModel, data: Transitions, begin: Tensor, later: Ten
 def predict_ahead(model: SindyModel, training: Transitions, data: Transitions, starts: Tensor, steps: int) -> Tensor:
     """Return what a model predicts after some rows, `(S, steps, n_x)`, infinite where it runs away.
 
-    Its states are estimated on samples before, as many as `forecast_errors` would take, or all that there are.
+    Its states are estimated on samples before, as many as `forecast_errors` would take, or as there are.
 
     Args:
         model: a fitted model.
@@ -311,10 +316,13 @@ def predict_ahead(model: SindyModel, training: Transitions, data: Transitions, s
         starts: rows of the last samples that are known, one segment's, `(S,)`.
         steps: sampling times that are predicted.
     """
-    time = characteristic(training, model.signature)
-    longest = min(max(round(time / 4 / data.dt), SHORTEST_FIT), LONGEST_FIT, int(starts.min()))
-    length = int(starts.min()) if len(starts) == 1 else _length(model, training, longest, [steps])
-    begin = starting_states(model, data, starts, length)
+    length = int(starts.max())
+    if len(starts) > 1:
+        length = _length(model, training, min(LONGEST_FIT, length), [steps])
+    begin = torch.zeros(len(starts), model.signature.n_x, dtype=torch.float64)
+    for some in (starts >= length, starts < length):
+        if bool(some.any()):
+            begin[some] = starting_states(model, data, starts[some], min(length, int(starts[some].min())))
     return predict_from(model, data, begin, starts.unsqueeze(-1) + torch.arange(steps))
 
 

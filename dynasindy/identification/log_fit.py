@@ -32,6 +32,7 @@ from dynasindy.identification.forecast_errors import (
 )
 from dynasindy.identification.recording_diagnostics import sensor_errors
 from dynasindy.identification.source import Source, rate_name, rates_of
+from dynasindy.identification.state_space import state_space_candidates
 from dynasindy.identification.verdict import equation_findings, idle_states
 from dynasindy.limits import raise_if_memory
 from dynasindy.progress import Event, TimeIsUp, listening, report_progress, reporting_as
@@ -59,8 +60,8 @@ from dynasindy.systems.transitions import Transitions
 
 KEPT = 0.25
 """Part of the training data that candidates are judged on at a time."""
-FEWEST, MOST = 40, 200
-"""Samples before a start on which its states may be estimated, at least where there are so many, and at most."""
+MOST = 200
+"""Samples before a start on which its states may be estimated, at most."""
 SOONEST, SLOWEST = 0.02, 3
 """First and last time ahead over which candidates are judged [times in which the slowest state changes]."""
 LOST = 1e3
@@ -215,7 +216,7 @@ class HoldOut:
         data = source.training
         fit, kept = data.select(early), data.select(~early)
         slow = characteristic(fit, source.signature)
-        before = min(max(round(slow / data.dt), FEWEST), MOST, len(kept) // 4)
+        before = min(MOST, len(kept) // 4)
         starts, reach = start_rows(kept, before)
         last = min(2 * reach // 3, max(round(SLOWEST * slow / data.dt), FARTHEST), LIMIT)
         if before < 3 or last < 2:
@@ -244,6 +245,11 @@ class HoldOut:
         later, real = later[:, : steps[-1]], real[:, : steps[-1]]
         return cls(early, kept, steps, starts, later, real, before, errors, floor)
 
+    @property
+    def lengths(self) -> list[int]:
+        """Samples before a start on which its states are estimated."""
+        return [*dict.fromkeys(max(3, self.before >> k) for k in range(6))]
+
     @cached_property
     def simple(self) -> Tensor:
         """Errors of the best simple model over each horizon, `(H, n_x)`."""
@@ -259,7 +265,7 @@ class HoldOut:
         kept, n_x = source.training.select(~self.early), self.real.shape[-1]
         near = self.steps[: -(-len(self.steps) // 2)]  # what is farther says little of where a prediction began
         begun, least = None, math.inf
-        for length in dict.fromkeys(max(3, self.before >> k) for k in (0, 1, 2, 4)):
+        for length in self.lengths:
             with _attempt():
                 begin = starting_states(model, kept, self.starts, length)
                 guess = predict_from(model, kept, begin, self.later[:, : near[-1]])[..., :n_x]
@@ -269,6 +275,17 @@ class HoldOut:
         if begun is None:
             return torch.full_like(self.simple, math.inf)
         return errors_over(predict_from(model, kept, begun, self.later)[..., :n_x], self.real, self.steps)
+
+    def memory(self, model: SindyModel, source: Source) -> float:
+        """Return of how much of the past the states of a model are best estimated, by all horizons [s]; 0 of none."""
+        kept, least, best = source.training.select(~self.early), math.inf, 0.0
+        for length in self.lengths:
+            with _attempt():
+                begin = starting_states(model, kept, self.starts, length)
+                guess = predict_from(model, kept, begin, self.later)[..., : self.real.shape[-1]]
+                if (cost := self.score(errors_over(guess, self.real, self.steps))) < least:
+                    least, best = cost, length * kept.dt
+        return best
 
     def score(self, errors: Tensor) -> float:
         """Return the mean logarithm of errors by those of the best simple model, and more where they are larger."""
@@ -339,6 +356,7 @@ class _Search:
     tried: list[Candidate] = field(default_factory=list)
     began: float = field(default_factory=time.process_time)
     lag_seconds: float = 0.0
+    pruning: bool = False
 
     @property
     def best(self) -> Candidate:
@@ -382,6 +400,8 @@ class _Search:
         try:
             with _attempt():
                 self._try_all()
+            if self.tried and self._exact() and not self.best.settings.select:
+                self._prune(self.best)
             return self._final(self.best) if self.tried else None
         except KeyboardInterrupt:
             if not self.tried:
@@ -432,16 +452,31 @@ class _Search:
             self._with_larger_library()
             before = self.best
             has_new_state = self._with_lag_states(before) is not before
-        leaders = dict[object, Candidate]()
-        for each in sorted(self._near(), key=lambda each: each.score):
-            leaders.setdefault(each.equations, each)
-        for each in list(leaders.values())[:LEADERS]:  # over longer windows
-            self._windows(each)
+        self._windows_of_leaders(self._near())
         if has_new_state:
             before = self.best
             self._with_larger_library()
             if self.best is not before:
                 self._windows(self.best)
+        if self.builder is not None and self.tried and self.best.score > 0:
+            known = len(self.tried)
+            self._with_hidden_states()
+            if self.best in (hidden := self.tried[known:]):
+                self._windows_of_leaders(hidden)
+                self._with_larger_library()
+
+    def _windows_of_leaders(self, candidates: Sequence[Candidate]) -> None:
+        """Simulate the best of some candidates over longer windows, of two with the same equations the better one."""
+        leaders = dict[object, Candidate]()
+        for each in sorted(candidates, key=lambda each: each.score):
+            leaders.setdefault(each.equations, each)
+        for each in list(leaders.values())[:LEADERS]:
+            self._windows(each)
+
+    def _prune(self, best: Candidate) -> None:
+        """Let functions go, however exact a candidate is: what data do not need misleads beyond what they show."""
+        self.pruning = True
+        self._at_prices(f"{best.what}, fewer functions", best, replace(best.settings, rounds=0, select=True))
 
     def _near(self) -> list[Candidate]:
         """Return candidates that are not hopelessly behind the best one."""
@@ -456,7 +491,7 @@ class _Search:
         structure: SindyModel | None = None,
     ) -> Candidate | None:
         """Fit copies of a model to what is not kept, and judge them."""
-        if self.tried and (self.expired or self._exact()):
+        if self.tried and (self.expired or (self._exact() and not self.pruning)):
             return None
         fitted, errors, candidate = list[SindyModel](), list[Tensor](), None
         with _attempt(), reporting_as(what):
@@ -488,7 +523,8 @@ class _Search:
         """Return what is to be least: of its errors, for each part that it was judged on, and of its size."""
         score = sum(map(HoldOut.score, self.folds, errors)) / len(errors)
         weight = torch.tensor([1 if _is_linear(feature) else 2 for feature in model.library.features])
-        size = int(weight @ (model.coefficients != 0).sum(-1)) + 2 * len(model.followed)
+        unseen = int(source.training.x.isnan().all(0).sum()) - len(rate_states(model.library, model.constraints))
+        size = int(weight @ (model.coefficients != 0).sum(-1)) + 2 * max(unseen, len(model.followed))
         return score + PER_TERM * (size + int(source.training.u_end is not None))
 
     def _again(self, what: str, of: Candidate, settings: Refinement) -> Candidate | None:
@@ -507,8 +543,8 @@ class _Search:
         """Try the fit of single steps, which finds exact equations in data without noise; first with measured rates."""
         fold = self.folds[0]
         for model, source in structures:
-            if bool(source.training.x_next.isnan().any()):
-                continue
+            if bool(source.training.x_next.isnan().any()) or len(model.library) > 2 * MANY:
+                continue  # the cost grows with the cube of the functions
             trial = copy.deepcopy(model)
             trial.refinement = replace(self.refinement, method="integral")
             with _attempt():  # a regression of rates costs little: is it hopelessly behind the best simple model?
@@ -562,6 +598,8 @@ class _Search:
         """Try states that no sensor sees and that follow a signal, one after the other, and return the best one."""
         best, began = of, time.process_time() - self.lag_seconds
         for _ in range(of.source.signature.n_u):
+            if self.expired:
+                break
             last = best
             with _attempt():
                 # Of linear equations alone, what acts at once beside a lag stands for functions that they lack.
@@ -578,6 +616,44 @@ class _Search:
             if best is last:
                 break
         return best
+
+    def _with_hidden_states(self) -> None:
+        """Try linear equations with hidden states, one more each time."""
+        linear = replace(self.source, training=self.source.training.with_linear_inputs())
+        linear = replace(linear, validation=linear.validation.with_linear_inputs())
+        for source in (self.source, linear):
+            parts = [source.training.select(fold.fit_rows()) for fold in self.folds]
+            best, worse = math.inf, 0
+            for begun in zip(*(state_space_candidates(self.given, part) for part in parts), strict=True):
+                if self.expired or self._exact() or worse > WORSE:
+                    break
+                if not (models := self._begun(begun, source)):
+                    continue
+                wide = source.with_unmeasured(models[0].signature)
+                moving = ", inputs that move evenly" if source is linear else ""
+                what = f"linear equations with {wide.signature.n_x - source.signature.n_x} hidden states{moving}"
+                found = self._fit(what, models, wide, self._settings(select=False))
+                worse = 0 if found is not None and found.score < best else worse + 1
+                best = min(best, found.score if found is not None else math.inf)
+
+    def _begun(self, begun: Sequence[Sequence[SindyModel]], source: Source) -> list[SindyModel]:
+        """Return of models, for each part that is kept, those that predict best before a fit; none of none."""
+
+        def _cost(k: int) -> float:
+            model = copy.deepcopy(begun[0][k])
+            if (first := model.initial) is not None:
+                model.set_coefficients(torch.where(model.constraints.free, first, model.constraints.offset))
+            with _attempt():
+                fold, wide = self.folds[0], source.with_unmeasured(model.signature)
+                return fold.score(fold.errors(model, wide))
+            return math.inf
+
+        for k in sorted(range(len(begun[0])), key=_cost):
+            names = begun[0][k].signature.state_names
+            alike = [next((each for each in models if each.signature.state_names == names), None) for models in begun]
+            if all(alike):
+                return [begun[0][k], *filter(None, alike[1:])]
+        return []
 
     def _select(self, of: Candidate) -> None:
         """Let functions come in and go, at two prices; of many those of one factor first, of too many none."""
@@ -718,10 +794,14 @@ class _Search:
             with self._time_limit(until if settings.method == "trajectory" else math.inf) as ended:
                 report = model.fit(data.select(rows))
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
+        model.memory = self.folds[0].memory(best.model, best.source)
         seconds = self.folds[0].steps[-1] * data.dt
         findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), what=best.what, seconds=seconds)]
-        if added := [name for name in best.states if name not in self.source.signature.state_names]:
-            findings.append(note("fit.added_rates", states=added, known={}))
+        added = [name for name in best.states if name not in self.source.signature.state_names]
+        if hidden := [name for name in added if name not in rates_of(best.model).values()]:
+            findings.append(note("fit.hidden_states", states=hidden))
+        if rates := [name for name in added if name not in hidden]:
+            findings.append(note("fit.added_rates", states=rates, known={}))
         if (count := int(rows.sum())) < len(data):
             stretches = int((rows.long().diff(prepend=torch.zeros(1, dtype=torch.long)) > 0).sum())
             findings.append(note("fit.fitted_to", rows=count, total=len(data), stretches=stretches))

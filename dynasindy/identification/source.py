@@ -160,7 +160,10 @@ class Source:
             )
         source = self.with_unmeasured(self.signature.with_rates(rates_of(model)))
         names, states = source.signature.state_names, model.signature.state_names
-        if states[: len(names)] != names or not set(states[len(names) :]) <= set(model.followed):
+        given = (model.constraints.offset != 0).any(-1).nonzero().flatten().tolist()
+        # What no sensor sees has its scale by a coefficient that is given, or follows a signal.
+        unseen = {*model.followed, *(name for k in given for name in model.library.features[k].variables)}
+        if states[: len(names)] != names or not unseen.issuperset(states[len(names) :]):
             raise ValueError(
                 f"the model has the states {', '.join(states)}, the log {', '.join(names)}; give a model of "
                 "the plant that the log is of"

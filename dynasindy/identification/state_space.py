@@ -1,0 +1,233 @@
+"""Linear models with states that no sensor sees, from past samples: a flexible arm by what its motor measures.
+
+What the past tells of the future is condensed to a few numbers, the states (canonical variates, Larimore 1990; with the
+weights of an autoregressive model, Jansson 2003). They are turned into those of the observability form, in which each
+measured state y leads a chain,
+
+    y' = hidden_1 + b_0 u,   hidden_1' = hidden_2 + b_1 u,   ...,   hidden_k' = a (all states) + b_k u + c,
+
+so that a hidden state is a rate of change but for what inputs add at once, and few numbers are to be fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import count, pairwise
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dynasindy.identification.forecast_errors import ENOUGH_ROWS, ORDERS
+from dynasindy.identification.source import USUAL
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.library import Feature, Library, of, variable
+from dynasindy.sindy.refinement import TELLING
+from dynasindy.sindy.regression import least_squares
+from dynasindy.sindy.shooting import choose_stretches
+from dynasindy.systems.transitions import Transitions
+
+Array = NDArray[np.float64]
+
+STRIDES = (1, 2, 4, 8, 16)
+"""Every how many samples the past is read."""
+FAST = 50.0
+"""Rate at which a state follows an input that acts at once [1 / samples]."""
+MOST = 8
+"""Hidden states at most."""
+APART = 1e-3
+"""Part of a rate that others leave over, below which it is no state of its own."""
+
+
+@dataclass(frozen=True)
+class _Past:
+    """Hold what the past tells, by an autoregressive model.
+
+    Attributes:
+        rows: of the recording, whose past and next sample are complete, `(N,)`.
+        states: what the past tells of the future, those first that tell most, at the end of each row, `(N, n)`.
+        y, u: outputs at the end of each row, and the inputs that act from there on, without their means.
+    """
+
+    rows: Tensor
+    states: Array
+    y: Array
+    u: Array
+
+
+def state_space_candidates(model: SindyModel, data: Transitions) -> Iterator[list[SindyModel]]:
+    """Yield linear models with one hidden state more each time, that begin where regressions on the past end.
+
+    Of each size there are some, by samples that are ever farther apart: what is slow noise hides from those that are
+    close, and what is fast has gone where they are far.
+
+    Args:
+        model: its measured states, inputs and settings.
+        data: what to fit; rows that lack a sample are left out.
+    """
+    data = data.to(torch.float64)
+    pasts = [(stride, _past(_thinned(data, stride))) for stride in STRIDES]
+    n_y = model.signature.n_x
+    for n in range(n_y + 1, n_y + MOST + 1):
+        found = list[SindyModel]()
+        for stride, past in pasts:
+            if past is not None and n <= past.states.shape[1]:
+                parts = _realise(past, stride * data.dt, n, data.u_end is not None)
+                found += [] if parts is None else [_model(model, *parts, data)]
+        yield found
+
+
+def _thinned(data: Transitions, stride: int) -> Transitions:
+    """Return a recording of every so many samples, and the mean of the inputs between them."""
+    starts, ends = data.segment_starts(), torch.arange(len(data)) + stride - 1
+    rows = torch.arange(len(data))
+    rows = rows[((rows - starts) % stride == 0) & (ends < len(data))]
+    rows = rows[data.segment[rows] == data.segment[rows + stride - 1]]
+    u = data.mean_inputs[rows.unsqueeze(-1) + torch.arange(stride)].mean(1)
+    if data.u_end is not None:
+        u = data.u[rows]
+    return Transitions(data.x[rows], u, data.x_next[rows + stride - 1], stride * data.dt, segment=data.segment[rows])
+
+
+def _past(data: Transitions) -> _Past | None:
+    """Return what past samples tell, of as many as predict the next one best by Akaike's criterion."""
+    best: tuple[float, Tensor, Tensor, Tensor] | None = None
+    offset = data.x.nanmean(0), data.u.mean(0)
+    x, u, x_next = data.x - offset[0], data.u - offset[1], data.x_next - offset[0]
+    every = torch.arange(max(ORDERS) - 1, len(data))
+    every = every[data.segment[every] == data.segment[every - max(ORDERS) + 1]]
+    for order in ORDERS[1:]:
+        back = every.unsqueeze(-1) - torch.arange(order)
+        columns = torch.cat([x[back], u[back]], -1).flatten(1)
+        complete = ~(columns.isnan().any(-1) | x_next[every].isnan().any(-1))
+        rows, columns = every[complete], columns[complete]
+        if len(rows) < 3 * columns.shape[1]:
+            break
+        some = choose_stretches(len(rows), ENOUGH_ROWS)
+        weights = least_squares(columns[some], x_next[rows[some]])
+        left = x_next[rows[some]] - columns[some] @ weights
+        cost = int(some.sum()) * float(torch.linalg.slogdet(left.mT @ left / len(left))[1]) + 2 * weights.numel()
+        if best is None or cost < best[0]:
+            best = cost, rows, columns, weights
+    if best is None:
+        return None
+    _, rows, columns, weights = best
+    n_y, n_z = x.shape[1], x.shape[1] + u.shape[1]
+    blocks = weights.mT.unflatten(1, (-1, n_z))  # of y at the next sample by each past one, (n_y, order, n_z)
+    order, scale = blocks.shape[1], x_next[rows].std(0)
+    hankel = torch.zeros(order, n_y, order, n_z, dtype=torch.float64)
+    for k in range(order):
+        hankel[k, :, : order - k] = blocks[:, k:] / scale[:, None, None]
+    hankel = hankel.flatten(0, 1).flatten(1)
+    root = torch.linalg.qr(columns / len(columns) ** 0.5, mode="r")[1].mT
+    _, _, directions = torch.linalg.svd(hankel @ root, full_matrices=False)
+    told = torch.linalg.solve_triangular(root.mT, directions.mT, upper=True)
+    after = (rows + 1).clamp_max(len(data) - 1)
+    return _Past(rows, (columns @ told).numpy(), x_next[rows].numpy(), u[after].numpy())
+
+
+def _realise(past: _Past, dt: float, n: int, linear: bool) -> tuple[Array, Array, Array, list[list[int]], Array] | None:
+    """Return a continuous model of so many states in observability form; None where it is none.
+
+    It is A, B, the states at the end of each row, those of the chain of each output, and what of each output inputs
+    that move `linear` between samples show at once.
+    """
+    from scipy.linalg import logm
+
+    states, rows = past.states[:, :n], past.rows.numpy()
+    on = np.flatnonzero(np.diff(rows) == 1)
+    reads, _, _, _ = np.linalg.lstsq(states, past.y, rcond=None)
+    error, direct = past.y - states @ reads, np.zeros((past.y.shape[1], past.u.shape[1]))
+    if linear:
+        wide = np.concatenate([states, past.u], -1)[on]
+        both, _, _, _ = np.linalg.lstsq(wide, past.y[on], rcond=None)
+        left = past.y[on] - wide @ both
+        if (left**2).sum() * TELLING < (error[on] ** 2).sum():
+            reads, direct = both[:n], both[n:].T
+            error = past.y - states @ reads - past.u @ direct.T
+    known = np.concatenate([states, past.u, error], -1)[on]
+    steps, _, _, _ = np.linalg.lstsq(known, states[on + 1], rcond=None)
+    n_u = past.u.shape[1]
+    both = np.eye(n + n_u)
+    both[:n, : n + n_u] = steps[: n + n_u].T
+    rates = logm(both) / dt
+    if not np.isfinite(rates).all() or np.abs(rates.imag).max() > 1e-6 * np.abs(rates).max():
+        return None
+    a, b = rates.real[:n, :n], rates.real[:n, n:]
+    # Rates of outputs, the lowest first, are states of their own as long as others do not tell them.
+    chosen, chains = list(reads.T), [[k] for k in range(reads.shape[1])]
+    growing = list(range(len(chains)))
+    while len(chosen) < n and growing:
+        left = list[tuple[float, int, Array]]()
+        for k in growing:
+            row = chosen[chains[k][-1]] @ a
+            basis = np.linalg.qr(np.array(chosen).T)[0]
+            left.append((float(np.linalg.norm(row - basis @ (basis.T @ row)) / np.linalg.norm(row)), k, row))
+        apart, k, row = max(left, key=lambda each: (-len(chains[each[1]]), each[0]))
+        if apart < APART:
+            growing.remove(k)
+            continue
+        chains[k].append(len(chosen))
+        chosen.append(row)
+    turn = np.array(chosen)
+    if len(chosen) < n or np.linalg.cond(turn / np.linalg.norm(turn, axis=1, keepdims=True)) > 1e8:
+        return None
+    return turn @ a @ np.linalg.inv(turn), turn @ b, states @ turn.T, chains, direct
+
+
+def _model(
+    model: SindyModel, a: Array, b: Array, states: Array, chains: list[list[int]], direct: Array, data: Transitions
+) -> SindyModel:
+    """Return a model in observability form that begins at some matrices."""
+    signature = model.signature
+    names, inputs, place = list(signature.state_names), list(signature.input_names), len(chains)
+    free = (name for k in count(1) if (name := f"hidden_{k}") not in (*names, *inputs))
+    for k in range(place, len(a)):
+        signature = signature.with_state(next(free), "1", float(np.quantile(np.abs(states[:, k]), USUAL)) or 1.0)
+    names, more, at_once = list(signature.state_names), list[Feature](), dict[str, tuple[str, str]]()
+    for k, name in enumerate(inputs):
+        if direct[:, k].any():
+            lagging = f"{name}_lagging"
+            signature = signature.with_state(lagging, "1")
+            own = of("ahead", name, lagging)
+            more += [own, variable(lagging)]
+            at_once[name] = lagging, own.name()
+    library = Library(signature, [Feature(()), *map(variable, names), *map(variable, inputs), *more])
+    one, rate = library.names[0], FAST / data.dt
+    allowed, fixed, initial = dict[str, list[str]](), dict[str, dict[str, float]](), dict[str, dict[str, float]]()
+    for lagging, own_name in at_once.values():
+        allowed[lagging], fixed[lagging] = [], {own_name: rate}
+    means = data.x.nanmean(0).double().numpy(), data.u.mean(0).double().numpy()
+    rest = np.zeros(len(a))
+    rest[:place] = means[0] - direct @ means[1]
+    for chain in chains:  # at rest: what follows in a chain is what inputs add, the other way round
+        for before, k in pairwise(chain):
+            rest[k] = -b[before] @ means[1]
+    for chain in chains:
+        for before, k in pairwise(chain):
+            fixed[names[before]] = {names[k]: 1.0}
+            allowed[names[before]] = [*inputs]
+            initial[names[before]] = dict(zip(inputs, b[before].tolist(), strict=True))
+        last = chain[-1]
+        allowed[names[last]] = [one, *names, *inputs]
+        initial[names[last]] = dict(zip([*names, *inputs], [*a[last].tolist(), *b[last].tolist()], strict=True))
+        initial[names[last]][one] = float(-a[last] @ rest - b[last] @ means[1])
+        for name, (_, own_name) in at_once.items():  # what is measured is beyond its chain what acts at once
+            k = inputs.index(name)
+            initial[names[last]][name] -= float(a[last, :place] @ direct[:, k])
+            allowed[names[chain[0]]].append(own_name)
+            initial[names[chain[0]]][own_name] = float(direct[chain[0], k]) * rate
+    found = SindyModel(
+        signature,
+        library,
+        model.regression,
+        model.refinement,
+        allowed=allowed,
+        fixed=fixed,
+        initial=initial,
+        machine_code=model.machine_code,
+    )
+    found.initial_delay = 0.0
+    return found

@@ -1,0 +1,71 @@
+"""Linear models with hidden states, of plants that SciPy moves exactly."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.signal import cont2discrete, dlsim
+
+from dynasindy.identification.state_space import state_space_candidates
+from dynasindy.sindy import SindyModel
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+from tests.identification.test_log_fit import fitted, one_fold, source_of, steps  # noqa: F401
+
+DT = 0.01
+SOFT_SHAFT = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-600, 600, -2, 0], [400, -440, 0, -1.0]])
+"""Angles of two inertias and their rates: a soft shaft between them, a spring at the far end."""
+DRIVE = np.array([[0.0], [0.0], [20.0], [0.0]])
+ANGLE, ACCELERATION = np.eye(4)[:1], SOFT_SHAFT[2:3]
+
+
+def measured(reads, direct, u, method):
+    """Return what a sensor shows under inputs that are held or move evenly, with some noise."""
+    *matrices, dt = cont2discrete((SOFT_SHAFT, DRIVE, reads, np.array([[direct]])), DT, method)
+    y = dlsim((*matrices, dt), u)[1]
+    return y + 1e-3 * y.std() * np.random.default_rng(1).standard_normal(y.shape)
+
+
+def smooth(count):
+    noise = np.random.default_rng(0).standard_normal(count + 7)
+    return np.convolve(noise, np.hanning(8) / 2, "valid")
+
+
+def poles(model):
+    """Return the eigenvalues of the linear part of a model, whose first functions are one and its states."""
+    names, xi = model.library.names, model.coefficients
+    rows = [names.index(name) for name in model.signature.state_names]
+    return np.linalg.eigvals(xi[rows].numpy().T)
+
+
+def distance(found, real):
+    """Return how far the nearest of some poles is from each real one, in parts of that."""
+    return max(np.abs(found - pole).min() / abs(pole) for pole in real)
+
+
+def test_a_candidate_begins_at_the_poles_of_a_soft_shaft_of_which_one_angle_is_measured():
+    u = steps(0, 300, 10)
+    y = torch.from_numpy(measured(ANGLE, 0.0, u, "zoh"))
+    data = Transitions.from_trajectory(y, torch.from_numpy(u[:-1, None]), DT)
+    plant = SindyModel(Signature(("angle",), ("rad",), ("u",), (1.0,)), ["1", "angle", "u"])
+    sizes = list(state_space_candidates(plant, data))
+    for model in sizes[2]:
+        model.set_coefficients(torch.where(model.constraints.free, model.initial, model.constraints.offset))
+    assert min(distance(poles(model), np.linalg.eigvals(SOFT_SHAFT)) for model in sizes[2]) < 0.05
+
+
+@pytest.mark.slow
+def test_the_far_end_of_a_soft_shaft_is_found_by_its_motor_alone(one_fold):  # noqa: F811
+    u = steps(0, 300, 10)
+    found = fitted(source_of(measured(ANGLE, 0.0, u, "zoh"), u[:-1], DT, units=("rad",)), seconds=20.0)
+    assert distance(poles(found.model), np.linalg.eigvals(SOFT_SHAFT)) < 0.03
+    assert "fit.behind" not in {finding.code for finding in found.report.findings}
+
+
+@pytest.mark.slow
+def test_an_acceleration_shows_its_force_at_once(one_fold):  # noqa: F811
+    u = smooth(3000)
+    found = fitted(source_of(measured(ACCELERATION, 20.0, u, "foh"), u[:-1], DT, units=("m/s^2",)), seconds=40.0)
+    model = found.model
+    place = model.library.names.index("(u - u_lagging)")
+    rate = float(model.coefficients[place, model.signature.state_index("u_lagging")])
+    assert float(model.coefficients[place, 0]) / rate == pytest.approx(20.0, rel=0.1)
