@@ -70,7 +70,7 @@ FORGOTTEN = 2**0.5
 """Error of a prediction that has nothing to do with what comes [deviations of the state]."""
 ROWS, FINAL_ROWS = 10_000, 30_000
 """Rows that a candidate is fitted to at most, and the best one in the end, in stretches spread evenly."""
-SHORT, FOLDS = 3000, 3
+SHORT, FOLDS = 5000, 3
 """Samples below which several parts are kept in turn, and how many."""
 HORIZONS, STARTS = 7, 60
 """Times ahead, and start times, over which they are judged."""
@@ -104,6 +104,8 @@ LATEST = 30
 """Samples within which a delay is looked for, at least."""
 EXACT = 1e-5
 """Error that is as good as none, however fine a sensor is [ranges of the state]."""
+CLEAR = 2.0
+"""Standard errors by which hidden states have to be better, as the parts that were kept differ."""
 RESOLVED = 1.2
 """Times the error of a sensor up to which an error leaves nothing to be found."""
 LAG_STATES = 3
@@ -459,11 +461,13 @@ class _Search:
             if self.best is not before:
                 self._windows(self.best)
         if self.builder is not None and self.tried and self.best.score > 0:
-            known = len(self.tried)
+            known, before = len(self.tried), self.best
             self._with_hidden_states()
             if self.best in (hidden := self.tried[known:]):
                 self._windows_of_leaders(hidden)
                 self._with_larger_library()
+            if self.best is not before and not self._clearly_better(self.best, before):
+                del self.tried[known:]
 
     def _windows_of_leaders(self, candidates: Sequence[Candidate]) -> None:
         """Simulate the best of some candidates over longer windows, of two with the same equations the better one."""
@@ -472,6 +476,12 @@ class _Search:
             leaders.setdefault(each.equations, each)
         for each in list(leaders.values())[:LEADERS]:
             self._windows(each)
+
+    def _clearly_better(self, first: Candidate, second: Candidate) -> bool:
+        """Tell whether a candidate is better in the parts that were kept, by more than they differ."""
+        errors = zip(self.folds, second.errors, first.errors, strict=False)
+        gains = torch.tensor([fold.score(theirs) - fold.score(mine) for fold, theirs, mine in errors])
+        return len(gains) < 2 or bool(gains.mean() > CLEAR * gains.std() / len(gains) ** 0.5)
 
     def _prune(self, best: Candidate) -> None:
         """Let functions go, however exact a candidate is: what data do not need misleads beyond what they show."""
