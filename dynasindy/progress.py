@@ -40,7 +40,7 @@ COLOURS = {
     r"^WEAK(?=  )": "bold yellow",
 }
 """Words that have a colour on a terminal."""
-COMMAND = re.compile(r"\s*(?:PYTHONPATH=\S+ )?(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
+COMMAND = re.compile(r"\s*(?:PYTHONPATH=(?:'[^']*'|\S+) )?(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
 """How a line begins that is meant to be copied into a shell."""
 COMMENT = "  # "
 """What a comment behind a command begins with."""

@@ -561,8 +561,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "ahead in parts of the training data that the fit had not seen: {what}",
     "fit.added_rates": "no sensor sees {states:and}, by which the model predicts better; {known:plant.known} leaves "
     "rates out",
-    "fit.hidden_states": "no sensor sees {states:and}: rates of change, but for what inputs add at once, of a linear "
-    "model that the past tells, by which the model predicts better",
+    "fit.hidden_states": "no sensor sees {states:and}, states of a linear model that are estimated from past samples; "
+    "with them the model predicts better",
     "fit.behind": "{state} up to {seconds:time} ahead was predicted {factor:.3g} times as well by the best simple "
     "model, of past samples (ARX) or the last value held, in data kept back",
     "fit.budget": "the search ended after {seconds:.0f} s of computing{stopped:?(it was stopped)}; the best model "

@@ -152,6 +152,8 @@ class ClosedLoop:
         if not model.signature.alike(controller.signature):
             raise ValueError("the model has other states, units or inputs than the controller; give that of its run")
         self.controller, self.model, self.task = controller, model, controller.setup.task
+        if self.task.ends is None:  # nothing says how far its targets go
+            self.task = self.task.with_box([controller.signature.x_scale[i] for i in self.task.outputs])
         self.stops, self.observer = controller.setup.stops, controller.observer
         self.longest = _longest_step(model, controller.setup) if step is None else step
         self.coefficients: Tensor | None = None

@@ -108,9 +108,9 @@ def _alike(name: str, units: Mapping[str, str]) -> list[str]:
     return [n for n in units if (number.sub("", n), units[n]) == (number.sub("", name), units[name])]
 
 
-def _is_actuator(name: str) -> bool:
-    """Tell whether a column is called as what acts on a plant is, and not as what is measured."""
-    return bool(ACTUATOR.fullmatch(name)) and not MEASURED.search(name)
+def _is_actuator(name: str, unit: str) -> bool:
+    """Tell whether a column is called as what acts on a plant is, and is not measured by its name or unit."""
+    return bool(ACTUATOR.fullmatch(name)) and not (MEASURED.search(name) or MEASURED_UNIT.fullmatch(unit))
 
 
 def _told_by(driver: Array, column: Array) -> float:
@@ -131,7 +131,7 @@ def _acting(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[str]
 
     A measured current follows the voltage, and so it is a state.
     """
-    named = [name for name in columns if _is_actuator(name)]
+    named = [name for name in columns if _is_actuator(name, units[name])]
     told = {(a, b): _told_by(columns[a], columns[b]) for a in named for b in columns if a != b}
     led = {b for (a, b), share in told.items() if b in named and share > LED and told[b, a] < share / 3}
     found = [name for name in named if not {*_alike(name, units)} <= led]
@@ -228,8 +228,11 @@ def infer(
     followed = [n for n in rest if n not in named and _is_followed(rest[n], [rest[m] for m in rest if m != n])]
     guessed = not found and inputs is None and timed
     if guessed:
-        acting, free = _acting(rest, units), {n: column for n, column in rest.items() if n not in followed}
-        found = [n for n in acting or _stepping(rest, units) or _stepping(free, units) if n not in named]
+        free = {n: column for n, column in rest.items() if n not in followed and n not in named}
+        acting = [n for n in _acting(rest, units) if n not in named]
+        # What moves in steps and no other follows is no reference, and drives what is called as an actuator, too.
+        found = _stepping(free, units) or acting or _stepping(rest, units)
+        found, acting = [n for n in found if n not in named], found if found == acting else []
     led = [name for name in followed if name not in found]
     leave("followed", led)
     leave("label", [name for name, column in left().items() if _is_label(column, rarely=False)])
@@ -389,9 +392,12 @@ ACTUATOR = re.compile(
 )
 """How inputs may be called where none is called an input or a command, if they move what is called otherwise."""
 MEASURED = re.compile(
-    r"position|angle|speed|veloc|rate|rpm|temp|press|level|flow|height|accel|encoder|sensor|meas|actual|feedback", re.I
+    r"position|angle|speed|veloc|rate|rpm|temp|press|level|flow|height|accel|encoder|(?<![a-z])enc(?![a-z])|sensor|meas"
+    "|actual|feedback",
+    re.I,
 )
-"""What the name of a measurement holds, though it is one of an actuator."""
+MEASURED_UNIT = re.compile(r"rad|deg|°|counts?|px|[cmk]?m|°?C|degC|K|rpm|.+/s")
+"""What the name of a measurement holds, though it is one of an actuator, and its unit."""
 CHANCE = 30.0
 """Rows of a log whose part of a variance counts as chance."""
 LED = 0.5
@@ -488,8 +494,9 @@ def _guess_columns(table: Table, time: str | None, inputs: Sequence[str], dt: fl
     if not inputs and names:
         longest = max(names, key=lambda name: still[name])
         held = still[longest] > HELD
-        first = next(filter(_is_actuator, names), longest if held else names[-1])
-        pair = [name for name in _alike(first, {split_unit(h)[0]: split_unit(h)[1] for h in columns}) if name in names]
+        units = dict(map(split_unit, columns))
+        first = next((n for n in names if _is_actuator(n, units[n])), longest if held else names[-1])
+        pair = [name for name in _alike(first, units) if name in names]
         inputs = pair if len(pair) < len(names) else [first]  # one matrix is no pair
     return {
         "time": split_unit(time)[0] if time else None,

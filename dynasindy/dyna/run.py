@@ -192,7 +192,9 @@ def run_report(metrics: dict[str, Any], folder: Path) -> str:
     steady, nis = metrics.get("steady_seconds", 5.0), (metrics.get("observer") or {}).get("nis")
     planned = metrics.get("planning")
     of_plant = planned.get("why") if isinstance(planned, dict) else ""  # earlier versions had a sentence there
-    lines.append(to_text(metrics["evaluation"], title, metrics.get("state_units"), steady, width()))
+    lines.append(
+        to_text(metrics["evaluation"], title, metrics.get("state_units") or metrics.get("units"), steady, width())
+    )
     lines += [
         "",
         f"Cost: the plant moved for {format_duration(cost['plant_seconds'])} to learn, which are {cost['real_steps']} "

@@ -316,13 +316,12 @@ def predict_ahead(model: SindyModel, training: Transitions, data: Transitions, s
         starts: rows of the last samples that are known, one segment's, `(S,)`.
         steps: sampling times that are predicted.
     """
-    length = int(starts.max())
-    if len(starts) > 1:
-        length = _length(model, training, min(LONGEST_FIT, length), [steps])
+    longest = int(starts.max())
+    length = _length(model, training, min(LONGEST_FIT, longest), [steps]) if len(starts) > 1 else longest
     begin = torch.zeros(len(starts), model.signature.n_x, dtype=torch.float64)
-    for some in (starts >= length, starts < length):
-        if bool(some.any()):
-            begin[some] = starting_states(model, data, starts[some], min(length, int(starts[some].min())))
+    before = starts.clamp_max(length)
+    for count in before.unique().tolist():
+        begin[before == count] = starting_states(model, data, starts[before == count], count)
     return predict_from(model, data, begin, starts.unsqueeze(-1) + torch.arange(steps))
 
 

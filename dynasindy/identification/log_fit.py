@@ -460,7 +460,7 @@ class _Search:
             self._with_larger_library()
             if self.best is not before:
                 self._windows(self.best)
-        if self.builder is not None and self.tried and self.best.score > 0:
+        if self.builder is not None and self.given.given_known is None and self.tried and self.best.score > 0:
             known, before = len(self.tried), self.best
             self._with_hidden_states()
             if self.best in (hidden := self.tried[known:]):
@@ -533,8 +533,9 @@ class _Search:
         """Return what is to be least: of its errors, for each part that it was judged on, and of its size."""
         score = sum(map(HoldOut.score, self.folds, errors)) / len(errors)
         weight = torch.tensor([1 if _is_linear(feature) else 2 for feature in model.library.features])
-        unseen = int(source.training.x.isnan().all(0).sum()) - len(rate_states(model.library, model.constraints))
-        size = int(weight @ (model.coefficients != 0).sum(-1)) + 2 * max(unseen, len(model.followed))
+        rates = rate_states(model.library, model.constraints)
+        unseen = [i for i in source.training.x.isnan().all(0).nonzero().flatten().tolist() if i not in rates]
+        size = int(weight @ (model.coefficients != 0).sum(-1)) + 2 * len(unseen)
         return score + PER_TERM * (size + int(source.training.u_end is not None))
 
     def _again(self, what: str, of: Candidate, settings: Refinement) -> Candidate | None:

@@ -11,6 +11,7 @@ so that a hidden state is a rate of change but for what inputs add at once, and 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count, pairwise
@@ -37,6 +38,8 @@ FAST = 50.0
 """Rate at which a state follows an input that acts at once [1 / samples]."""
 MOST = 8
 """Hidden states at most."""
+RESOLVED = 1e-9
+"""Part of the largest canonical variate below which one is rounding."""
 APART = 1e-3
 """Part of a rate that others leave over, below which it is no state of its own."""
 
@@ -94,6 +97,8 @@ def _thinned(data: Transitions, stride: int) -> Transitions:
 def _past(data: Transitions) -> _Past | None:
     """Return what past samples tell, of as many as predict the next one best by Akaike's criterion."""
     best: tuple[float, Tensor, Tensor, Tensor] | None = None
+    if len(data) < max(ORDERS):
+        return None
     offset = data.x.nanmean(0), data.u.mean(0)
     x, u, x_next = data.x - offset[0], data.u - offset[1], data.x_next - offset[0]
     every = torch.arange(max(ORDERS) - 1, len(data))
@@ -116,14 +121,15 @@ def _past(data: Transitions) -> _Past | None:
     _, rows, columns, weights = best
     n_y, n_z = x.shape[1], x.shape[1] + u.shape[1]
     blocks = weights.mT.unflatten(1, (-1, n_z))  # of y at the next sample by each past one, (n_y, order, n_z)
-    order, scale = blocks.shape[1], x_next[rows].std(0)
+    order, scale = blocks.shape[1], x_next[rows].std(0).clamp_min(1e-300)
     hankel = torch.zeros(order, n_y, order, n_z, dtype=torch.float64)
     for k in range(order):
         hankel[k, :, : order - k] = blocks[:, k:] / scale[:, None, None]
     hankel = hankel.flatten(0, 1).flatten(1)
     root = torch.linalg.qr(columns / len(columns) ** 0.5, mode="r")[1].mT
-    _, _, directions = torch.linalg.svd(hankel @ root, full_matrices=False)
-    told = torch.linalg.solve_triangular(root.mT, directions.mT, upper=True)
+    future, sizes, _ = torch.linalg.svd(hankel @ root, full_matrices=False)
+    clear = sizes > RESOLVED * sizes[0]
+    told = hankel.mT @ future[:, clear] / sizes[clear]
     after = (rows + 1).clamp_max(len(data) - 1)
     return _Past(rows, (columns @ told).numpy(), x_next[rows].numpy(), u[after].numpy())
 
@@ -138,6 +144,8 @@ def _realise(past: _Past, dt: float, n: int, linear: bool) -> tuple[Array, Array
 
     states, rows = past.states[:, :n], past.rows.numpy()
     on = np.flatnonzero(np.diff(rows) == 1)
+    if len(on) < 3 * (n + past.u.shape[1]):
+        return None
     reads, _, _, _ = np.linalg.lstsq(states, past.y, rcond=None)
     error, direct = past.y - states @ reads, np.zeros((past.y.shape[1], past.u.shape[1]))
     if linear:
@@ -152,7 +160,8 @@ def _realise(past: _Past, dt: float, n: int, linear: bool) -> tuple[Array, Array
     n_u = past.u.shape[1]
     both = np.eye(n + n_u)
     both[:n, : n + n_u] = steps[: n + n_u].T
-    rates = logm(both) / dt
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # of accuracy, which the fit mends
+        rates = logm(both) / dt
     if not np.isfinite(rates).all() or np.abs(rates.imag).max() > 1e-6 * np.abs(rates).max():
         return None
     a, b = rates.real[:n, :n], rates.real[:n, n:]
@@ -189,7 +198,7 @@ def _model(
     names, more, at_once = list(signature.state_names), list[Feature](), dict[str, tuple[str, str]]()
     for k, name in enumerate(inputs):
         if direct[:, k].any():
-            lagging = f"{name}_lagging"
+            lagging = next(n for n in (f"{name}_lagging" + "_" * k for k in count()) if n not in (*names, *inputs))
             signature = signature.with_state(lagging, "1")
             own = of("ahead", name, lagging)
             more += [own, variable(lagging)]

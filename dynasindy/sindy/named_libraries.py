@@ -81,7 +81,17 @@ DRY = 10.0
 FULL = 20.0
 """First guess of the range of a rate, in those rates at which dry friction is full."""
 PLACE = re.compile(
-    "|".join((*(f"{prefix}m" for prefix in ("", "k", "c", "d", "m", "u", "µ", "μ", "n")), "in", "ft", "rad", *TURNS))
+    "|".join(
+        (
+            *(f"{prefix}m" for prefix in ("", "k", "c", "d", "m", "u", "µ", "μ", "n")),
+            "in",
+            "ft",
+            "px",
+            "counts?",
+            "rad",
+            *TURNS,
+        )
+    )
 )
 TURNING = re.compile(r"rpm|rps|(?:1|U|r|rev|turns?)/min")
 SPEED = re.compile(rf"(?!{TURNING.pattern})(?:{PLACE.pattern})/(?:h|min|s|ms)")

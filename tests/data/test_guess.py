@@ -289,3 +289,17 @@ def test_what_is_called_as_an_actuator_and_moves_nothing_is_no_input(tmp_path):
     header = "time,a,tau1 [Nm],tau2 [Nm],b,tau3 [Nm],c"
     np.savetxt(path, table, fmt="%.6f", delimiter=",", header=header, comments="")
     assert refused(lambda: infer(str(path))).values["guess"]["inputs"] == ["tau1", "tau2", "tau3"]
+
+
+@pytest.mark.parametrize("names", ["setting,current [A],omega", "Q [%],T pump,T2", "Q,motor [rad],load [rad]"])
+@pytest.mark.parametrize("states", [None, (1, 2)])
+def test_what_is_called_an_actuator_and_follows_a_column_in_steps_is_a_state(tmp_path, names, states):
+    u, x, y = np.repeat(np.random.default_rng(1).uniform(0, 10, 20), 50), np.zeros(1000), np.zeros(1000)
+    for k in range(999):
+        x[k + 1], y[k + 1] = x[k] + 0.2 * (3 * u[k] - x[k]), y[k] + 0.05 * (x[k] - y[k])
+    rows = np.stack([0.01 * np.arange(1000), u, x, y], -1).tolist()
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([f"t [s],{names}", *(",".join(map(repr, row)) for row in rows)]))
+    plain = [name.split(" [")[0] for name in names.split(",")]
+    found = infer(str(path), "t", states=states and [plain[k] for k in states])
+    assert (list(found[1]), list(found[0])) == (plain[:1], plain[1:])
