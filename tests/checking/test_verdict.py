@@ -111,12 +111,12 @@ def test_a_margin_without_limit_and_a_radius_near_one_are_told_as_they_are(good)
 
 
 def test_the_threshold_of_the_steady_error_has_the_unit_of_its_value(good):
-    # The targets of p count by 1 m, as nothing is said of their range: a tenth of that is 0.1 m.
+    # Nothing is said of the range of targets, so p counts by 2 m: a tenth of that is 0.2 m.
     found = by_name(good, Thresholds(error=0.1))
     for name in ("steady_error", "coefficients"):
         values = found[name].values
-        assert (values["output"], values["unit"], values["size"]) == ("p", "m", 1.0)
-        assert values["limit"] == pytest.approx(0.1) and values["share"] == pytest.approx(values["error"])
+        assert (values["output"], values["unit"], values["size"]) == ("p", "m", 2.0)
+        assert values["limit"] == pytest.approx(0.2) and values["share"] == pytest.approx(values["error"] / 2)
 
 
 def test_an_unstable_loop_says_so_first_and_where(loops, law):
@@ -182,7 +182,7 @@ def test_findings_come_first_and_what_is_infinite_is_null(loops, carts):
 @pytest.mark.parametrize("k_v", [2.5, 14.0, 25.0])
 def test_a_thin_disk_margin_at_the_targets_is_said(loops, law, k_v):
     loop = loops(law(2.0, k_v))
-    loop.task.ends = ((-0.4,), (0.8,))
+    loop.controller.setup.task.ends = ((-0.4,), (0.8,))
     found = thin_margin(loop.controller, loop.model)
     # Of u = -K x on x+ = A x + B u, a double integrator under held inputs, by a grid of S = 1 / (1 + K (z - A)^-1 B).
     a, b, k = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]]), np.array([[2.0, k_v]])
