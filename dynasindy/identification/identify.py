@@ -237,7 +237,8 @@ def read(
         path: The file, with a line of headings such as `angle [rad]`; or a list of files with the same columns.
         states: Columns of the states by name: the heading, or keys of `dynasindy.data.columns.Column`; a list takes
             them as they are; all columns but time, inputs and what tells nothing of a plant if omitted.
-        inputs: Columns of the inputs, likewise; those that are called `u`, `u_...` or `input_...` if omitted.
+        inputs: Columns of the inputs, likewise; if omitted those that are called `u`, `u_...` or `input_...`, and where
+            none is, commands, columns that move in steps, and what is called as an actuator.
         time: Heading of the time column, in seconds unless it says another unit, as in `count [ms]`.
         dt: Sampling time [s]; the file's own if omitted. Where the time counts rows it is the time between two.
         validation_share: Part of the log, at its end, that neither the fit nor the plan sees. With 0 they see all of
@@ -266,7 +267,8 @@ def identify(
 ) -> SindyModel:
     """Identify sparse equations from a log, as `train.py data=csv` does.
 
-    Where they lack something, an input that acts through a lag is looked for; the lag is then a state of the model.
+    Where they lack something, states that no sensor sees are looked for: an input that acts through a lag, or hidden
+    states of a linear model.
 
     Args:
         log: What `read` returned.

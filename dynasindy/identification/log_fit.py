@@ -638,7 +638,7 @@ class _Search:
             for begun in zip(*(state_space_candidates(self.given, part) for part in parts), strict=True):
                 if self.expired or self._exact() or worse > WORSE:
                     break
-                if not (models := self._begun(begun, source)):
+                if not (models := self._best_starts(begun, source)):
                     continue
                 wide = source.with_unmeasured(models[0].signature)
                 moving = ", inputs that move evenly" if source is linear else ""
@@ -647,7 +647,7 @@ class _Search:
                 worse = 0 if found is not None and found.score < best else worse + 1
                 best = min(best, found.score if found is not None else math.inf)
 
-    def _begun(self, begun: Sequence[Sequence[SindyModel]], source: Source) -> list[SindyModel]:
+    def _best_starts(self, begun: Sequence[Sequence[SindyModel]], source: Source) -> list[SindyModel]:
         """Return of models, for each part that is kept, those that predict best before a fit; none of none."""
 
         def _cost(k: int) -> float:

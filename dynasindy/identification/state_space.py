@@ -34,18 +34,18 @@ Array = NDArray[np.float64]
 
 STRIDES = (1, 2, 4, 8, 16)
 """Every how many samples the past is read."""
-FAST = 50.0
+FEEDTHROUGH_RATE = 50.0
 """Rate at which a state follows an input that acts at once [1 / samples]."""
-MOST = 8
+MAX_HIDDEN = 8
 """Hidden states at most."""
 RESOLVED = 1e-9
 """Part of the largest canonical variate below which one is rounding."""
-APART = 1e-3
+RANK_TOLERANCE = 1e-3
 """Part of a rate that others leave over, below which it is no state of its own."""
 
 
 @dataclass(frozen=True)
-class _Past:
+class _PastRegression:
     """Hold what the past tells, by an autoregressive model.
 
     Attributes:
@@ -73,7 +73,7 @@ def state_space_candidates(model: SindyModel, data: Transitions) -> Iterator[lis
     data = data.to(torch.float64)
     pasts = [(stride, _past(_thinned(data, stride))) for stride in STRIDES]
     n_y = model.signature.n_x
-    for n in range(n_y + 1, n_y + MOST + 1):
+    for n in range(n_y + 1, n_y + MAX_HIDDEN + 1):
         found = list[SindyModel]()
         for stride, past in pasts:
             if past is not None and n <= past.states.shape[1]:
@@ -94,7 +94,7 @@ def _thinned(data: Transitions, stride: int) -> Transitions:
     return Transitions(data.x[rows], u, data.x_next[rows + stride - 1], stride * data.dt, segment=data.segment[rows])
 
 
-def _past(data: Transitions) -> _Past | None:
+def _past(data: Transitions) -> _PastRegression | None:
     """Return what past samples tell, of as many as predict the next one best by Akaike's criterion."""
     best: tuple[float, Tensor, Tensor, Tensor] | None = None
     if len(data) < max(ORDERS):
@@ -129,12 +129,14 @@ def _past(data: Transitions) -> _Past | None:
     root = torch.linalg.qr(columns / len(columns) ** 0.5, mode="r")[1].mT
     future, sizes, _ = torch.linalg.svd(hankel @ root, full_matrices=False)
     clear = sizes > RESOLVED * sizes[0]
-    told = hankel.mT @ future[:, clear] / sizes[clear]
+    weights_of_states = hankel.mT @ future[:, clear] / sizes[clear]
     after = (rows + 1).clamp_max(len(data) - 1)
-    return _Past(rows, (columns @ told).numpy(), x_next[rows].numpy(), u[after].numpy())
+    return _PastRegression(rows, (columns @ weights_of_states).numpy(), x_next[rows].numpy(), u[after].numpy())
 
 
-def _realise(past: _Past, dt: float, n: int, linear: bool) -> tuple[Array, Array, Array, list[list[int]], Array] | None:
+def _realise(
+    past: _PastRegression, dt: float, n: int, linear: bool
+) -> tuple[Array, Array, Array, list[list[int]], Array] | None:
     """Return a continuous model of so many states in observability form; None where it is none.
 
     It is A, B, the states at the end of each row, those of the chain of each output, and what of each output inputs
@@ -147,14 +149,14 @@ def _realise(past: _Past, dt: float, n: int, linear: bool) -> tuple[Array, Array
     if len(on) < 3 * (n + past.u.shape[1]):
         return None
     reads, _, _, _ = np.linalg.lstsq(states, past.y, rcond=None)
-    error, direct = past.y - states @ reads, np.zeros((past.y.shape[1], past.u.shape[1]))
+    error, feedthrough = past.y - states @ reads, np.zeros((past.y.shape[1], past.u.shape[1]))
     if linear:
         wide = np.concatenate([states, past.u], -1)[on]
         both, _, _, _ = np.linalg.lstsq(wide, past.y[on], rcond=None)
         left = past.y[on] - wide @ both
         if (left**2).sum() * TELLING < (error[on] ** 2).sum():
-            reads, direct = both[:n], both[n:].T
-            error = past.y - states @ reads - past.u @ direct.T
+            reads, feedthrough = both[:n], both[n:].T
+            error = past.y - states @ reads - past.u @ feedthrough.T
     known = np.concatenate([states, past.u, error], -1)[on]
     steps, _, _, _ = np.linalg.lstsq(known, states[on + 1], rcond=None)
     n_u = past.u.shape[1]
@@ -175,19 +177,25 @@ def _realise(past: _Past, dt: float, n: int, linear: bool) -> tuple[Array, Array
             basis = np.linalg.qr(np.array(chosen).T)[0]
             left.append((float(np.linalg.norm(row - basis @ (basis.T @ row)) / np.linalg.norm(row)), k, row))
         apart, k, row = max(left, key=lambda each: (-len(chains[each[1]]), each[0]))
-        if apart < APART:
+        if apart < RANK_TOLERANCE:
             growing.remove(k)
             continue
         chains[k].append(len(chosen))
         chosen.append(row)
-    turn = np.array(chosen)
-    if len(chosen) < n or np.linalg.cond(turn / np.linalg.norm(turn, axis=1, keepdims=True)) > 1e8:
+    transformation = np.array(chosen)
+    if len(chosen) < n or np.linalg.cond(transformation / np.linalg.norm(transformation, axis=1, keepdims=True)) > 1e8:
         return None
-    return turn @ a @ np.linalg.inv(turn), turn @ b, states @ turn.T, chains, direct
+    return (
+        transformation @ a @ np.linalg.inv(transformation),
+        transformation @ b,
+        states @ transformation.T,
+        chains,
+        feedthrough,
+    )
 
 
 def _model(
-    model: SindyModel, a: Array, b: Array, states: Array, chains: list[list[int]], direct: Array, data: Transitions
+    model: SindyModel, a: Array, b: Array, states: Array, chains: list[list[int]], feedthrough: Array, data: Transitions
 ) -> SindyModel:
     """Return a model in observability form that begins at some matrices."""
     signature = model.signature
@@ -197,20 +205,20 @@ def _model(
         signature = signature.with_state(next(free), "1", float(np.quantile(np.abs(states[:, k]), USUAL)) or 1.0)
     names, more, at_once = list(signature.state_names), list[Feature](), dict[str, tuple[str, str]]()
     for k, name in enumerate(inputs):
-        if direct[:, k].any():
+        if feedthrough[:, k].any():
             lagging = next(n for n in (f"{name}_lagging" + "_" * k for k in count()) if n not in (*names, *inputs))
             signature = signature.with_state(lagging, "1")
             own = of("ahead", name, lagging)
             more += [own, variable(lagging)]
             at_once[name] = lagging, own.name()
     library = Library(signature, [Feature(()), *map(variable, names), *map(variable, inputs), *more])
-    one, rate = library.names[0], FAST / data.dt
+    one, rate = library.names[0], FEEDTHROUGH_RATE / data.dt
     allowed, fixed, initial = dict[str, list[str]](), dict[str, dict[str, float]](), dict[str, dict[str, float]]()
     for lagging, own_name in at_once.values():
         allowed[lagging], fixed[lagging] = [], {own_name: rate}
     means = data.x.nanmean(0).double().numpy(), data.u.mean(0).double().numpy()
     rest = np.zeros(len(a))
-    rest[:place] = means[0] - direct @ means[1]
+    rest[:place] = means[0] - feedthrough @ means[1]
     for chain in chains:  # at rest: what follows in a chain is what inputs add, the other way round
         for before, k in pairwise(chain):
             rest[k] = -b[before] @ means[1]
@@ -225,9 +233,9 @@ def _model(
         initial[names[last]][one] = float(-a[last] @ rest - b[last] @ means[1])
         for name, (_, own_name) in at_once.items():  # what is measured is beyond its chain what acts at once
             k = inputs.index(name)
-            initial[names[last]][name] -= float(a[last, :place] @ direct[:, k])
+            initial[names[last]][name] -= float(a[last, :place] @ feedthrough[:, k])
             allowed[names[chain[0]]].append(own_name)
-            initial[names[chain[0]]][own_name] = float(direct[chain[0], k]) * rate
+            initial[names[chain[0]]][own_name] = float(feedthrough[chain[0], k]) * rate
     found = SindyModel(
         signature,
         library,
