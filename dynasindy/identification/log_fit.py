@@ -463,7 +463,7 @@ class _Search:
         if self.builder is not None and self.given.given_known is None and self.tried and self.best.score > 0:
             known, before = len(self.tried), self.best
             self._with_hidden_states()
-            if self.best in (hidden := self.tried[known:]):
+            if hidden := [each for each in self._near() if each in self.tried[known:]]:
                 self._windows_of_leaders(hidden)
                 self._with_larger_library()
             if self.best is not before and not self._clearly_better(self.best, before):
