@@ -113,33 +113,37 @@ def _is_actuator(name: str, unit: str) -> bool:
     return bool(ACTUATOR.fullmatch(name)) and not (MEASURED.search(name) or MEASURED_UNIT.fullmatch(unit))
 
 
-def _told_by(driver: Array, column: Array) -> float:
-    """Return the part of the variance of a column, some rows ahead, that another one tells beside its own past."""
-    told = 0.0
+def _predicted_by(driver: Array, column: Array) -> float:
+    """Return the part of the variance of a column, some rows ahead, that another one predicts beside its own past.
+
+    That is Granger causality (1969).
+    """
+    driver, column = (each / (each.std() or 1.0) for each in (driver, column))
+    share = 0.0
     for ahead in (1, 4, 16) if len(column) > 200 else ():
         rows = np.arange(2, len(column) - ahead, 1 + len(column) // 5000)
         table = np.stack([np.ones(len(rows)), *(x[rows - k] for x in (column, driver) for k in range(3))], 1)
         y, parts = column[rows + ahead], (table[:, :4], table)
         own, both = (float(np.square(y - part @ np.linalg.lstsq(part, y, rcond=None)[0]).sum()) for part in parts)
         # What lies that far apart counts once.
-        told = max(told, 1 - both / own - CHANCE * ahead / len(rows) if own else 0.0)
-    return told
+        share = max(share, 1 - both / own - CHANCE * ahead / len(rows) if own else 0.0)
+    return share
 
 
-def _acting(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[str]:
+def _actuators(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[str]:
     """Return columns that are called as actuators are and follow none that is called so, if one of them moves others.
 
     A measured current follows the voltage, and so it is a state.
     """
     named = [name for name in columns if _is_actuator(name, units[name])]
-    told = {(a, b): _told_by(columns[a], columns[b]) for a in named for b in columns if a != b}
-    led = {b for (a, b), share in told.items() if b in named and share > LED and told[b, a] < share / 3}
-    found = [name for name in named if not {*_alike(name, units)} <= led]
-    acts = any(share > 0 for (a, b), share in told.items() if a in found and b not in found)
+    shares = {(a, b): _predicted_by(columns[a], columns[b]) for a in named for b in columns if a != b}
+    driven = {b for (a, b), share in shares.items() if b in named and share > DRIVEN and shares[b, a] < share / 3}
+    found = [name for name in named if not {*_alike(name, units)} <= driven]
+    acts = any(share > 0 for (a, b), share in shares.items() if a in found and b not in found)
     return found if acts else []
 
 
-def _stepping(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[str]:
+def _in_steps(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[str]:
     """Return columns that move in steps where all others move in most rows, as inputs; none if one may be a label."""
     standing = {name: _standing(column) for name, column in columns.items()}
     labels = {name for name, share in standing.items() if share > 1 - RARE and not (columns[name] % 1).any()}
@@ -229,9 +233,9 @@ def infer(
     guessed = not found and inputs is None and timed
     if guessed:
         free = {n: column for n, column in rest.items() if n not in followed and n not in named}
-        acting = [n for n in _acting(rest, units) if n not in named]
+        acting = [n for n in _actuators(rest, units) if n not in named]
         # What moves in steps and no other follows is no reference, and drives what is called as an actuator, too.
-        found = _stepping(free, units) or acting or _stepping(rest, units)
+        found = _in_steps(free, units) or acting or _in_steps(rest, units)
         found, acting = [n for n in found if n not in named], found if found == acting else []
     led = [name for name in followed if name not in found]
     leave("followed", led)
@@ -400,8 +404,8 @@ MEASURED_UNIT = re.compile(r"rad|deg|°|counts?|px|[cmk]?m|°?C|degC|K|rpm|.+/s"
 """What the name of a measurement holds, though it is one of an actuator, and its unit."""
 CHANCE = 30.0
 """Rows of a log whose part of a variance counts as chance."""
-LED = 0.5
-"""Part of the variance of what an actuator is called from which on another one that tells it is the input."""
+DRIVEN = 0.5
+"""Part of the variance of what is called an actuator from which on another one that predicts it is the input."""
 RARE = 0.01
 """Share of the rows in which a label changes at most."""
 REFERENCE = re.compile(

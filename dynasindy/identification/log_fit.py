@@ -247,11 +247,6 @@ class HoldOut:
         later, real = later[:, : steps[-1]], real[:, : steps[-1]]
         return cls(early, kept, steps, starts, later, real, before, errors, floor)
 
-    @property
-    def lengths(self) -> list[int]:
-        """Samples before a start on which its states are estimated."""
-        return [*dict.fromkeys(max(3, self.before >> k) for k in range(6))]
-
     @cached_property
     def simple(self) -> Tensor:
         """Errors of the best simple model over each horizon, `(H, n_x)`."""
@@ -264,30 +259,37 @@ class HoldOut:
 
     def errors(self, model: SindyModel, source: Source) -> Tensor:
         """Return the errors of a model over each horizon, `(H, n_x)`, by the best way to estimate where it starts."""
-        kept, n_x = source.training.select(~self.early), self.real.shape[-1]
-        near = self.steps[: -(-len(self.steps) // 2)]  # what is farther says little of where a prediction began
-        begun, least = None, math.inf
-        for length in self.lengths:
-            with _attempt():
-                begin = starting_states(model, kept, self.starts, length)
-                guess = predict_from(model, kept, begin, self.later[:, : near[-1]])[..., :n_x]
-                cost = float(errors_over(guess, self.real[:, : near[-1]], near).clamp_max(1e9).log().nanmean())
-                if cost < least:
-                    begun, least = begin, cost
-        if begun is None:
+        near = -(-len(self.steps) // 2)  # what is farther says little of where a prediction began
+        found = self._begin(model, source, near, lambda each: float(each.clamp_max(1e9).log().nanmean()))
+        if found is None:
             return torch.full_like(self.simple, math.inf)
-        return errors_over(predict_from(model, kept, begun, self.later)[..., :n_x], self.real, self.steps)
+        return self._errors_from(model, source, found[1], len(self.steps))
 
     def memory(self, model: SindyModel, source: Source) -> float:
         """Return of how much of the past the states of a model are best estimated, by all horizons [s]; 0 of none."""
-        kept, least, best = source.training.select(~self.early), math.inf, 0.0
-        for length in self.lengths:
+        found = self._begin(model, source, len(self.steps), self.score)
+        return 0.0 if found is None else found[0] * source.training.dt
+
+    def _begin(
+        self, model: SindyModel, source: Source, count: int, cost: Callable[[Tensor], float]
+    ) -> tuple[int, Tensor] | None:
+        """Return on how many samples states are best estimated, by the cost of errors over so many horizons, and them.
+
+        They are `(S, n_x)`; None where every model of them runs away.
+        """
+        kept, best, least = source.training.select(~self.early), None, math.inf
+        for length in dict.fromkeys(max(3, self.before >> k) for k in range(6)):
             with _attempt():
                 begin = starting_states(model, kept, self.starts, length)
-                guess = predict_from(model, kept, begin, self.later)[..., : self.real.shape[-1]]
-                if (cost := self.score(errors_over(guess, self.real, self.steps))) < least:
-                    least, best = cost, length * kept.dt
+                if (now := cost(self._errors_from(model, source, begin, count))) < least:
+                    best, least = (length, begin), now
         return best
+
+    def _errors_from(self, model: SindyModel, source: Source, begin: Tensor, count: int) -> Tensor:
+        """Return errors over the first horizons from states on, `(count, n_x)`."""
+        kept, steps, n_x = source.training.select(~self.early), self.steps[:count], self.real.shape[-1]
+        guess = predict_from(model, kept, begin, self.later[:, : steps[-1]])[..., :n_x]
+        return errors_over(guess, self.real[:, : steps[-1]], steps)
 
     def score(self, errors: Tensor) -> float:
         """Return the mean logarithm of errors by those of the best simple model, and more where they are larger."""
@@ -358,7 +360,6 @@ class _Search:
     tried: list[Candidate] = field(default_factory=list)
     began: float = field(default_factory=time.process_time)
     lag_seconds: float = 0.0
-    pruning: bool = False
 
     @property
     def best(self) -> Candidate:
@@ -402,8 +403,6 @@ class _Search:
         try:
             with _attempt():
                 self._try_all()
-            if self.tried and self._exact() and not self.best.settings.select:
-                self._prune(self.best)
             return self._final(self.best) if self.tried else None
         except KeyboardInterrupt:
             if not self.tried:
@@ -432,8 +431,7 @@ class _Search:
         linear = sorted((each for each in self.tried if each.structure is not None), key=lambda each: each.score)
         if linear:
             of = linear[0]
-            training, validation = (part.with_linear_inputs() for part in (of.source.training, of.source.validation))
-            source = replace(of.source, training=training, validation=validation)
+            source = of.source.with_linear_inputs()
             what, models = f"{of.what}, inputs that move evenly", [_warm_started(model) for model in of.models]
             tried = self._fit(what, models, source, self._settings(select=False), of.structure)
             linear[0] = _better(of, tried)
@@ -483,11 +481,6 @@ class _Search:
         gains = torch.tensor([fold.score(theirs) - fold.score(mine) for fold, theirs, mine in errors])
         return len(gains) < 2 or bool(gains.mean() > CLEAR * gains.std() / len(gains) ** 0.5)
 
-    def _prune(self, best: Candidate) -> None:
-        """Let functions go, however exact a candidate is: what data do not need misleads beyond what they show."""
-        self.pruning = True
-        self._at_prices(f"{best.what}, fewer functions", best, replace(best.settings, rounds=0, select=True))
-
     def _near(self) -> list[Candidate]:
         """Return candidates that are not hopelessly behind the best one."""
         return [each for each in self.tried if each.score < self.best.score + HOPELESS]
@@ -501,7 +494,7 @@ class _Search:
         structure: SindyModel | None = None,
     ) -> Candidate | None:
         """Fit copies of a model to what is not kept, and judge them."""
-        if self.tried and (self.expired or (self._exact() and not self.pruning)):
+        if self.tried and (self.expired or self._exact()):
             return None
         fitted, errors, candidate = list[SindyModel](), list[Tensor](), None
         with _attempt(), reporting_as(what):
@@ -630,9 +623,7 @@ class _Search:
 
     def _with_hidden_states(self) -> None:
         """Try linear equations with hidden states, one more each time."""
-        linear = replace(self.source, training=self.source.training.with_linear_inputs())
-        linear = replace(linear, validation=linear.validation.with_linear_inputs())
-        for source in (self.source, linear):
+        for source, moving in ((self.source, ""), (self.source.with_linear_inputs(), ", inputs that move evenly")):
             parts = [source.training.select(fold.fit_rows()) for fold in self.folds]
             best, worse = math.inf, 0
             for begun in zip(*(state_space_candidates(self.given, part) for part in parts), strict=True):
@@ -641,7 +632,6 @@ class _Search:
                 if not (models := self._best_starts(begun, source)):
                     continue
                 wide = source.with_unmeasured(models[0].signature)
-                moving = ", inputs that move evenly" if source is linear else ""
                 what = f"linear equations with {wide.signature.n_x - source.signature.n_x} hidden states{moving}"
                 found = self._fit(what, models, wide, self._settings(select=False))
                 worse = 0 if found is not None and found.score < best else worse + 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -169,9 +169,12 @@ class Source:
                 "the plant that the log is of"
             )
         source = source.with_unmeasured(model.signature)
-        linear = [name in model.linear_inputs for name in model.signature.input_names]
-        training, validation = (part.with_linear_inputs(linear) for part in (source.training, source.validation))
-        return replace(source, training=training, validation=validation)
+        return source.with_linear_inputs([name in model.linear_inputs for name in model.signature.input_names])
+
+    def with_linear_inputs(self, linear: Sequence[bool] | None = None) -> Source:
+        """Return the data under inputs that move in straight lines between samples, all of them or those that do."""
+        training, validation = (part.with_linear_inputs(linear) for part in (self.training, self.validation))
+        return replace(self, training=training, validation=validation)
 
 
 class DataSource(ABC):

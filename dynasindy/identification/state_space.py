@@ -38,26 +38,46 @@ FEEDTHROUGH_RATE = 50.0
 """Rate at which a state follows an input that acts at once [1 / samples]."""
 MAX_HIDDEN = 8
 """Hidden states at most."""
-RESOLVED = 1e-9
+ROUNDING = 1e-9
 """Part of the largest canonical variate below which one is rounding."""
 RANK_TOLERANCE = 1e-3
 """Part of a rate that others leave over, below which it is no state of its own."""
 
 
 @dataclass(frozen=True)
-class _PastRegression:
-    """Hold what the past tells, by an autoregressive model.
+class _Predictor:
+    """Hold what an autoregressive model predicts of the future by, without means.
 
     Attributes:
         rows: of the recording, whose past and next sample are complete, `(N,)`.
-        states: what the past tells of the future, those first that tell most, at the end of each row, `(N, n)`.
-        y, u: outputs at the end of each row, and the inputs that act from there on, without their means.
+        states: canonical variates at the end of each row, those first by which it predicts most, `(N, n)`.
+        y: outputs at the end of each row, `(N, n_y)`.
+        u: inputs that act from there on, `(N, n_u)`.
     """
 
     rows: Tensor
     states: Array
     y: Array
     u: Array
+
+
+@dataclass(frozen=True)
+class _Realisation:
+    """Hold a continuous linear model in observability form.
+
+    Attributes:
+        a: A, `(n, n)` [1/s].
+        b: B, `(n, n_u)` [1/s].
+        feedthrough: D, what outputs show of inputs at once, `(n_y, n_u)`.
+        sizes: range of each state, `(n,)`.
+        chains: places of the states of each output's chain, itself first.
+    """
+
+    a: Array
+    b: Array
+    feedthrough: Array
+    sizes: Array
+    chains: list[list[int]]
 
 
 def state_space_candidates(model: SindyModel, data: Transitions) -> Iterator[list[SindyModel]]:
@@ -71,31 +91,30 @@ def state_space_candidates(model: SindyModel, data: Transitions) -> Iterator[lis
         data: what to fit; rows that lack a sample are left out.
     """
     data = data.to(torch.float64)
-    pasts = [(stride, _past(_thinned(data, stride))) for stride in STRIDES]
+    predictors = [(stride, _predictor(_thinned(data, stride))) for stride in STRIDES]
     n_y = model.signature.n_x
     for n in range(n_y + 1, n_y + MAX_HIDDEN + 1):
         found = list[SindyModel]()
-        for stride, past in pasts:
+        for stride, past in predictors:
             if past is not None and n <= past.states.shape[1]:
-                parts = _realise(past, stride * data.dt, n, data.u_end is not None)
-                found += [] if parts is None else [_model(model, *parts, data)]
+                realisation = _realise(past, stride * data.dt, n, data.u_end is not None)
+                found += [] if realisation is None else [_model(model, realisation, data)]
         yield found
 
 
 def _thinned(data: Transitions, stride: int) -> Transitions:
-    """Return a recording of every so many samples, and the mean of the inputs between them."""
+    """Return a recording of every so many samples, and of inputs that are held the mean between them."""
     starts, ends = data.segment_starts(), torch.arange(len(data)) + stride - 1
     rows = torch.arange(len(data))
     rows = rows[((rows - starts) % stride == 0) & (ends < len(data))]
     rows = rows[data.segment[rows] == data.segment[rows + stride - 1]]
-    u = data.mean_inputs[rows.unsqueeze(-1) + torch.arange(stride)].mean(1)
-    if data.u_end is not None:
-        u = data.u[rows]
+    held = data.u_end is None
+    u = data.u[rows.unsqueeze(-1) + torch.arange(stride)].mean(1) if held else data.u[rows]
     return Transitions(data.x[rows], u, data.x_next[rows + stride - 1], stride * data.dt, segment=data.segment[rows])
 
 
-def _past(data: Transitions) -> _PastRegression | None:
-    """Return what past samples tell, of as many as predict the next one best by Akaike's criterion."""
+def _predictor(data: Transitions) -> _Predictor | None:
+    """Return canonical variates of as many past samples as predict the next one best by Akaike's criterion."""
     best: tuple[float, Tensor, Tensor, Tensor] | None = None
     if len(data) < max(ORDERS):
         return None
@@ -128,19 +147,16 @@ def _past(data: Transitions) -> _PastRegression | None:
     hankel = hankel.flatten(0, 1).flatten(1)
     root = torch.linalg.qr(columns / len(columns) ** 0.5, mode="r")[1].mT
     future, sizes, _ = torch.linalg.svd(hankel @ root, full_matrices=False)
-    clear = sizes > RESOLVED * sizes[0]
+    clear = sizes > ROUNDING * sizes[0]
     weights_of_states = hankel.mT @ future[:, clear] / sizes[clear]
     after = (rows + 1).clamp_max(len(data) - 1)
-    return _PastRegression(rows, (columns @ weights_of_states).numpy(), x_next[rows].numpy(), u[after].numpy())
+    return _Predictor(rows, (columns @ weights_of_states).numpy(), x_next[rows].numpy(), u[after].numpy())
 
 
-def _realise(
-    past: _PastRegression, dt: float, n: int, linear: bool
-) -> tuple[Array, Array, Array, list[list[int]], Array] | None:
-    """Return a continuous model of so many states in observability form; None where it is none.
+def _realise(past: _Predictor, dt: float, n: int, linear: bool) -> _Realisation | None:
+    """Return a model of so many states; None where it has no continuous form.
 
-    It is A, B, the states at the end of each row, those of the chain of each output, and what of each output inputs
-    that move `linear` between samples show at once.
+    Of inputs that move `linear` between samples, not of held ones, an output may show some at once.
     """
     from scipy.linalg import logm
 
@@ -185,38 +201,32 @@ def _realise(
     transformation = np.array(chosen)
     if len(chosen) < n or np.linalg.cond(transformation / np.linalg.norm(transformation, axis=1, keepdims=True)) > 1e8:
         return None
-    return (
-        transformation @ a @ np.linalg.inv(transformation),
-        transformation @ b,
-        states @ transformation.T,
-        chains,
-        feedthrough,
-    )
+    sizes = np.quantile(np.abs(states @ transformation.T), USUAL, axis=0)
+    a, b = transformation @ a @ np.linalg.inv(transformation), transformation @ b
+    return _Realisation(a, b, feedthrough, sizes, chains)
 
 
-def _model(
-    model: SindyModel, a: Array, b: Array, states: Array, chains: list[list[int]], feedthrough: Array, data: Transitions
-) -> SindyModel:
-    """Return a model in observability form that begins at some matrices."""
-    signature = model.signature
+def _model(model: SindyModel, linear: _Realisation, data: Transitions) -> SindyModel:
+    """Return a model that begins at a realisation."""
+    a, b, feedthrough, chains, signature = linear.a, linear.b, linear.feedthrough, linear.chains, model.signature
     names, inputs, place = list(signature.state_names), list(signature.input_names), len(chains)
     free = (name for k in count(1) if (name := f"hidden_{k}") not in (*names, *inputs))
     for k in range(place, len(a)):
-        signature = signature.with_state(next(free), "1", float(np.quantile(np.abs(states[:, k]), USUAL)) or 1.0)
+        signature = signature.with_state(next(free), "1", float(linear.sizes[k]) or 1.0)
     names, more, at_once = list(signature.state_names), list[Feature](), dict[str, tuple[str, str]]()
     for k, name in enumerate(inputs):
         if feedthrough[:, k].any():
             lagging = next(n for n in (f"{name}_lagging" + "_" * k for k in count()) if n not in (*names, *inputs))
             signature = signature.with_state(lagging, "1")
             own = of("ahead", name, lagging)
-            more += [own, variable(lagging)]
+            more.append(own)
             at_once[name] = lagging, own.name()
     library = Library(signature, [Feature(()), *map(variable, names), *map(variable, inputs), *more])
     one, rate = library.names[0], FEEDTHROUGH_RATE / data.dt
     allowed, fixed, initial = dict[str, list[str]](), dict[str, dict[str, float]](), dict[str, dict[str, float]]()
     for lagging, own_name in at_once.values():
         allowed[lagging], fixed[lagging] = [], {own_name: rate}
-    means = data.x.nanmean(0).double().numpy(), data.u.mean(0).double().numpy()
+    means = data.x.nanmean(0).numpy(), data.u.mean(0).numpy()
     rest = np.zeros(len(a))
     rest[:place] = means[0] - feedthrough @ means[1]
     for chain in chains:  # at rest: what follows in a chain is what inputs add, the other way round

@@ -7,7 +7,7 @@ imagined episode shows it. Its linear model does, where the policy rests, of mov
 | ------ | ------ | --------------------------------------------------------------------------------- |
 | slopes | A, B   | of the state one control period later, by state and input, over `MOVEMENT`        |
 | gain   | K      | of the policy, by state, over `MOVEMENT`                                          |
-| factor | d      | of one input: `GAIN`, 1 / `GAIN` or e^(i `PHASE`), 1 of the others                |
+| factor | d      | of one input: g, 1 / g or e^(i p) of `GAIN_MARGIN` and `PHASE_MARGIN`, 1 of others |
 | lack   |        | sum of max(0, abs(s) - 1), s the largest eigenvalue of each A + B diag(d) K       |
 """
 
@@ -29,7 +29,7 @@ from dynasindy.tasks.references import Step
 MOVEMENT = 0.01
 """Movements by which loops are judged [ranges]: what dry friction, a rotor at standstill or a policy does about a still
 smaller one concerns nobody."""
-GAIN, PHASE = 2.2, math.radians(35)
+GAIN_MARGIN, PHASE_MARGIN = 2.2, math.radians(35)
 """Margins that are asked for, a little more than those of a check."""
 SETTLING, NEAR = 200, 0.05
 """Control periods after which a policy rests that began at an equilibrium, and how near to it [target ranges]; one that
@@ -105,7 +105,9 @@ class MarginCost:
         """Return what gains lack at some equilibria, `(n,)`."""
         a, b, k = self.a[places], self.b[places], k.nan_to_num(0.0, 0.0, 0.0)
         each = torch.einsum("nxu,nuy->nuxy", b, k).unsqueeze(1)
-        change = torch.tensor([GAIN - 1, 1 / GAIN - 1, cmath.exp(1j * PHASE) - 1], dtype=torch.complex128)
+        change = torch.tensor(
+            [GAIN_MARGIN - 1, 1 / GAIN_MARGIN - 1, cmath.exp(1j * PHASE_MARGIN) - 1], dtype=torch.complex128
+        )
         loops = (a + b @ k)[:, None, None] + change[:, None, None, None] * each
         return (torch.linalg.eigvals(loops).abs().amax(-1) - 1).clamp_min(0).sum((1, 2))
 
