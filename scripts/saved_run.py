@@ -63,9 +63,7 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
         folder, saved = Path(cfg.resume), load_config(Path(cfg.resume), cfg.plugins)
         ended = (folder / "metrics.json").is_file() and not (folder / "checkpoints").is_dir()
         if ended and result(folder, saved.train.episodes) is None:
-            raise ValueError(
-                f"{folder} holds results and no checkpoint to go on from; give the folder of a stopped run"
-            )
+            raise ValueError(f"{folder} holds results and no checkpoint to resume; give the folder of a stopped run")
         new = {"folder": str(folder.absolute()), **{name: cfg[name] for name in own if name != "plugins"}}
         cfg = DictConfig({**saved, **new})
     if cfg.system is None:

@@ -174,9 +174,8 @@ def check(cfg: DictConfig, file: str = "", plugins: Sequence[str] = ()) -> None:
             read = {"plant.functions", "plant.libraries", *re.findall(r"\bplant(?:\.\w+)+", conf + repr(raw))}
             groups = dict(nodes({"plant": tree.get("plant")}))
             for group in ("plant", "plant.signals"):
-                allowed = {
-                    key.removeprefix(f"{group}.").partition(".")[0] for key in read if key.startswith(f"{group}.")
-                }
+                below = [key.removeprefix(f"{group}.") for key in read if key.startswith(f"{group}.")]
+                allowed = {key.partition(".")[0] for key in below}
                 for name in [str(name) for name in groups.get(group, ()) if name not in allowed]:
                     raise ValueError(unknown_name(name, allowed, group))
         for key, value, hint in _values(tree, bool(file)):

@@ -7,7 +7,7 @@ imagined episode shows it. Its linear model does, where the policy rests, of mov
 | ------ | ------ | --------------------------------------------------------------------------------- |
 | slopes | A, B   | of the state one control period later, by state and input, over `MOVEMENT`        |
 | gain   | K      | of the policy, by state, over `MOVEMENT`                                          |
-| factor | d      | of one input: g, 1 / g or e^(i p) of `GAIN_MARGIN` and `PHASE_MARGIN`, 1 of others |
+| factor | d      | of one input: g, 1 / g or e^(i p) by both margins below, 1 of the others          |
 | lack   |        | sum of max(0, abs(s) - 1), s the largest eigenvalue of each A + B diag(d) K       |
 """
 

@@ -66,6 +66,12 @@ def test_a_plant_is_predicted_from_its_past_samples(starts):
     assert np.allclose(path, x[np.array(starts)[:, None] + np.arange(1, 101)], atol=1e-4)
 
 
+def test_a_start_is_estimated_on_its_own_past_however_early_others_are():
+    data, _ = recording(noise=0.01)
+    late, both = (predict_ahead(oscillator(), data, data, torch.tensor(s), 50)[-2:] for s in ([30, 400], [3, 30, 400]))
+    torch.testing.assert_close(late, both)
+
+
 def test_noise_of_the_sensor_is_averaged_over_the_fit():
     data, x = recording(noise=0.01)
     rows = torch.arange(50, 1400, 50)

@@ -72,6 +72,12 @@ def test_the_far_end_of_a_soft_shaft_is_found_by_its_motor_alone(one_fold):  # n
     assert "fit.behind" not in {finding.code for finding in found.report.findings}
 
 
+def test_nothing_hidden_is_added_where_nothing_is_to_be_known(one_fold):  # noqa: F811
+    u = steps(0, 60, 10)
+    found = fitted(source_of(measured(ANGLE, 0.0, u, "zoh"), u[:-1], DT, units=("rad",)), known={}, seconds=5.0)
+    assert found.model.signature.state_names == ("y",)
+
+
 @pytest.mark.slow
 def test_an_acceleration_shows_its_force_at_once(one_fold):  # noqa: F811
     u = smooth(1500)
