@@ -238,7 +238,7 @@ def test_a_row_of_a_table_stays_a_line_of_markdown(wrap):
 
 def test_a_command_is_one_line_that_can_be_copied_however_narrow_the_terminal(wrap):
     command = "  dynasindy train system=xi 'plant.known={a:  # b}' train.episodes=3"
-    script = command.replace("dynasindy train", "python scripts/train.py")
+    script = command.replace("dynasindy train", "PYTHONPATH='/home/my dir' python scripts/train.py")
     why = "flies more episodes, whose data mend the model"
     text = f"next:\n{command}  # {why}\n{script}  # short\na sentence that names dynasindy train is none"
     found = wrap(text, 40).splitlines()
