@@ -25,13 +25,11 @@ from torch import Tensor
 
 from dynasindy.control import Controller
 from dynasindy.dyna.simulated import Simulated
+from dynasindy.envs import Excitation, Multisine, Sensors, Step
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.excitation import Excitation, Multisine
 from dynasindy.identification.source import Source
 from dynasindy.safe_io import checked
-from dynasindy.sensing import Sensors
 from dynasindy.systems import System
-from dynasindy.tasks import Step
 from dynasindy.text import did_you_mean, format_duration
 from dynasindy.workbench import closed_loop
 
@@ -188,7 +186,7 @@ def excite(
         noise: Standard deviation of white noise of the measurements: one number, relative to that of each state, or by
             the name of a state in its unit.
         sensors: What is measured, how finely and how noisily; all states as they are if omitted.
-        signal: What moves it: `Multisine`, `Aprbs` or `Chirp` of `dynasindy.excitation`, or another `Excitation`.
+        signal: What moves it: `Multisine`, `Aprbs` or `Chirp` of `dynasindy.envs`, or another `Excitation`.
         seed: Seed of signal and noise.
         **settings: Settings of the signal, such as `first=0.1` for a plant that may not stay by itself.
 

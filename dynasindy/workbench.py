@@ -34,11 +34,13 @@ from typing import Any
 import torch
 
 from dynasindy.agents import Actor
-from dynasindy.control import Controller
+from dynasindy.control import Controller, Observer
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.integral import IntegralAction
+from dynasindy.control.offset import acting
 from dynasindy.control.period import as_planned, suited_period
-from dynasindy.envs import ControlEnv
+from dynasindy.control.sensing import Sensing
+from dynasindy.envs import Channel, ControlEnv, RandomStep, Sensors, Tracking, TrackingReward
 from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.scenarios import Policy, Scenario, step_references
 from dynasindy.evaluation.summary import to_text
@@ -69,8 +71,6 @@ from dynasindy.planning import GradientPlanning
 from dynasindy.planning.plan_settings import LONGEST, find_task_equilibria, unheld
 from dynasindy.progress import reporting_as, say, width
 from dynasindy.safe_io import checked
-from dynasindy.sensing import Channel, Observer, Sensing, Sensors
-from dynasindy.sensing.offset import acting
 from dynasindy.sentences import lines
 from dynasindy.sindy import Refinement, SindyModel
 from dynasindy.sindy.delay import delay_inputs
@@ -78,7 +78,6 @@ from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.sindy.shooting import STABLE
 from dynasindy.systems import System
 from dynasindy.systems.transitions import Transitions
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 FINE = 5
 """Runge-Kutta steps of a predicted control period."""

@@ -21,16 +21,17 @@ from identify import load_data
 from omegaconf import DictConfig, OmegaConf
 from settings import check, plugins_of, read_config
 
-from dynasindy.checking.verdict import thin_margin
-from dynasindy.control import load, save
+from dynasindy.control import Observer, load, save
 from dynasindy.control.files import NAME
 from dynasindy.control.period import suited_period
+from dynasindy.control.sensing import Sensing
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import read_weights, result
 from dynasindy.dyna.recorder import Evaluating
 from dynasindy.dyna.run import run, run_report
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import Channel, ControlEnv, Sensors
+from dynasindy.evaluation.check_verdict import thin_margin
 from dynasindy.evaluation.scenarios import Policy, Scenario
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, note, records
@@ -41,7 +42,6 @@ from dynasindy.planning import GradientPlanning
 from dynasindy.planning.gradient_planning import ACCEPTABLE_ERROR
 from dynasindy.progress import say
 from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
-from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sentences import command_word, lines
 from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.viz.controllers import controller_name, name_by_planning

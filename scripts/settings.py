@@ -25,12 +25,12 @@ from pydantic import BeforeValidator, Field, PlainValidator, StrictBool, TypeAda
 from pydantic.fields import FieldInfo
 from typing_extensions import is_typeddict
 
+from dynasindy.envs.references import Signal
 from dynasindy.identification.source import DataSource
 from dynasindy.safe_io import read_text, reading
 from dynasindy.sindy import WorldModel
 from dynasindy.sindy.functions import register_function
 from dynasindy.systems import System
-from dynasindy.tasks.references import Signal
 
 SIZE, DEPTH = 250_000, 20
 """Size [bytes] and depth that a config.yaml may have; those of runs have 3000 and 6. Deep ones take YAML minutes."""

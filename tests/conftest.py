@@ -62,7 +62,7 @@ def _no_global_state() -> None:
 def settle() -> Any:
     """Return the task without references that docs/extending.md shows."""
     page = (Path(__file__).parents[1] / "docs" / "extending.md").read_text()
-    (block,) = re.findall(r"`dynasindy/tasks/settle\.py`\n\n```python\n(.*?)```", page, re.S)
+    (block,) = re.findall(r"`dynasindy/envs/settle\.py`\n\n```python\n(.*?)```", page, re.S)
     module: dict[str, Any] = {}
     exec(compile(block, "docs/extending.md", "exec"), module)
     return module["Settle"]

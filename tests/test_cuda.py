@@ -12,14 +12,12 @@ from dynasindy.dyna import Stopped
 from dynasindy.dyna.experiment import LoopSettings, Recipe
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.run import Evaluating, run
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Multisine, RandomStep, Step, Tracking
 from dynasindy.evaluation.scenarios import Scenario
-from dynasindy.excitation import Multisine
 from dynasindy.limits import device
 from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay, NoPlanning
 from dynasindy.sindy import Regression, SindyModel
 from dynasindy.systems import Xi
-from dynasindy.tasks import RandomStep, Step, Tracking
 
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
 PLANNERS = {

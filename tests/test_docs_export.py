@@ -9,14 +9,13 @@ import pytest
 import torch
 
 from dynasindy.agents.networks import actor
-from dynasindy.control import Controller, load, save
+from dynasindy.control import Controller, Observer, load, save
 from dynasindy.control.controller import ControlSetup
+from dynasindy.envs import Sensors, Step, Tracking, TrackingReward
 from dynasindy.export import controller_sources
-from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
 from dynasindy.systems.compiler import STRICT, compiler
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 REPOSITORY = Path(__file__).parents[1]
 PAGE = (REPOSITORY / "docs" / "export.md").read_text()

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import torch
 
-from dynasindy.envs import ControlEnv
-from dynasindy.tasks import Tracking
+from dynasindy.envs import ControlEnv, Tracking
 
 PAGE = (Path(__file__).parents[1] / "docs" / "torchrl.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.S)

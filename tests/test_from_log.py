@@ -7,14 +7,13 @@ import pytest
 import torch
 
 import dynasindy
+from dynasindy.envs import Multisine, Step
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario
-from dynasindy.excitation import Multisine
 from dynasindy.findings import note
 from dynasindy.identification.source import Source
 from dynasindy.sindy import Regression, SindyModel
 from dynasindy.systems import Pendulum, Signature
-from dynasindy.tasks import Step
 from dynasindy.workbench import log_report, model_of, tracking_task
 
 LIBRARY = ["1", "u", "Omega", "sin(theta)"]

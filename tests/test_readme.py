@@ -10,8 +10,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import dynasindy
+from dynasindy.envs import Step
 from dynasindy.evaluation.scenarios import Scenario
-from dynasindy.tasks import Step
 
 REPOSITORY = Path(__file__).parents[1]
 

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from dynasindy.excitation import Aprbs
+from dynasindy.envs import Aprbs, Channel
 from dynasindy.planning import GradientPlanning
 from dynasindy.safe_io import (
     DamagedFileError,
@@ -21,7 +21,6 @@ from dynasindy.safe_io import (
     remove_leftovers,
     write_json,
 )
-from dynasindy.sensing import Channel
 from dynasindy.sindy import Refinement
 
 

@@ -9,8 +9,7 @@ from scipy.integrate import solve_ivp
 
 import dynasindy
 from dynasindy.control import Controller
-from dynasindy.excitation import Aprbs, Multisine
-from dynasindy.sensing import Channel, Sensors
+from dynasindy.envs import Aprbs, Channel, Multisine, Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Tras
 

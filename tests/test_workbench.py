@@ -13,17 +13,15 @@ import dynasindy
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
 from dynasindy.data.recording import Recording
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Multisine, RandomStep, Step, Tracking, TrackingReward
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario
-from dynasindy.excitation import Multisine
 from dynasindy.findings import FindingError, note, wrong
 from dynasindy.identification.source import Source
 from dynasindy.progress import listening
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.shooting import STABLE
 from dynasindy.systems import Pendulum, Signature
-from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 from dynasindy.workbench import _sensors_of, forecast, refit_shortage
 
 COUNT = 2 * math.pi / 4096

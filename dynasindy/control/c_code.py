@@ -21,7 +21,7 @@ import numpy as np
 
 from dynasindy.control.controller import Array, Controller
 from dynasindy.control.integral import IntegralAction
-from dynasindy.sensing.observer import FAR, LEAST, NUDGE, UNKNOWN
+from dynasindy.control.observer import FAR, LEAST, NUDGE, UNKNOWN
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.formulas import PLAIN, comment, formulas, number, right_sides
 from dynasindy.systems import Signature

@@ -22,11 +22,10 @@ from torch import Tensor
 
 from dynasindy.agents.networks import MLP
 from dynasindy.control.integral import IntegralAction
-from dynasindy.sensing import Observer
-from dynasindy.sensing.observer import Belief
-from dynasindy.sensing.offset import Policy, acting
+from dynasindy.control.observer import Belief, Observer
+from dynasindy.control.offset import Policy, acting
+from dynasindy.envs import Tracking
 from dynasindy.systems import Signature, Stops
-from dynasindy.tasks import Tracking
 from dynasindy.text import did_you_mean
 
 if TYPE_CHECKING:

@@ -29,11 +29,11 @@ from torch import Tensor
 from dynasindy.agents.networks import MLP
 from dynasindy.control.controller import Controller, ControlSetup
 from dynasindy.control.integral import IntegralAction
+from dynasindy.control.observer import Observer
+from dynasindy.envs import Sensors, Step, Tracking, TrackingReward
 from dynasindy.safe_io import DamagedFileError, read_json, reading, write_json
-from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Stops
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 FORMAT = "dynasindy controller 1"
 NAME = "controller.json"

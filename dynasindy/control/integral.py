@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from dynasindy.tasks import Sampled, Tracking, references
+from dynasindy.envs import Sampled, Tracking, references
 
 
 class IntegralAction:

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Tracking
 from dynasindy.findings import Finding, note
 from dynasindy.identification.source import PERIOD, Source, closest_period
 from dynasindy.identification.verdict import logged_input_ranges
@@ -18,7 +18,6 @@ from dynasindy.sindy.lag_states import lag_state_ranges
 from dynasindy.sindy.reconstruction import rate_states, reconstruct
 from dynasindy.systems.equilibria import LocalModes, slopes
 from dynasindy.systems.transitions import Transitions
-from dynasindy.tasks import Tracking
 
 PERIODS = {"oscillation": 5, "doubling": 4}
 """Control periods in the fastest oscillation of the model at least, if nobody asks for another one, and in the time in

@@ -25,8 +25,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.dyna.experiment import Components, PlantComponents
-from dynasindy.envs import ControlEnv
-from dynasindy.excitation import Excitation
+from dynasindy.envs import ControlEnv, Excitation, Tracking
 from dynasindy.findings import Finding, note, weak
 from dynasindy.planning.regulator import regulated
 from dynasindy.progress import report_progress
@@ -34,7 +33,6 @@ from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.systems import Diverged, steps_needed
 from dynasindy.systems.transitions import Transitions
-from dynasindy.tasks import Tracking
 
 NEAR = 1.0
 """Ranges around the start within which the linear model is fitted."""

@@ -12,15 +12,14 @@ from torchrl.checkpoint import GlobalRNGState
 from torchrl.envs import EnvBase, TransformedEnv
 
 from dynasindy.agents import MEASURED_KEYS, TD3, DynaReplay
-from dynasindy.envs import ControlEnv
-from dynasindy.excitation import Excitation
+from dynasindy.control import Observer
+from dynasindy.control.sensing import Sensing
+from dynasindy.envs import Channel, ControlEnv, Excitation, Sensors, Task
 from dynasindy.limits import Count, check_memory
 from dynasindy.limits import device as device_of
 from dynasindy.planning import Gate, Planner
-from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sindy import WorldModel
 from dynasindy.systems import System
-from dynasindy.tasks import Task
 
 
 @dataclass(kw_only=True)

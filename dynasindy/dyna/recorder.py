@@ -17,13 +17,14 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.record import TensorboardLogger
 
-from dynasindy.checking.verdict import thin_margin
 from dynasindy.control import Controller, save
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import NAME
 from dynasindy.dyna.callback import Callback, Episode, Place
 from dynasindy.dyna.excite import excitation_findings
 from dynasindy.dyna.experiment import Components
+from dynasindy.envs import Tracking
+from dynasindy.evaluation.check_verdict import thin_margin
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary
 from dynasindy.evaluation.tracking_criteria import (
@@ -40,7 +41,6 @@ from dynasindy.sindy.delay import delay_inputs
 from dynasindy.systems.equilibria import states_that_matter
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
-from dynasindy.tasks import Tracking
 
 HEADLINE = ("return", "steady_state_error/", "rmse/")
 """How the figures of an evaluation begin that belong in the progress table."""

@@ -14,18 +14,15 @@ from torch import Tensor
 
 from dynasindy.dyna.excite import RegulatedExcitation, excitation_findings, excite
 from dynasindy.dyna.experiment import PlantComponents
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import Aprbs, ControlEnv, Excitation, RandomStep, Sensors, Tracking, TrackingReward
 from dynasindy.envs.rollout_data import record_plant
-from dynasindy.excitation import Aprbs, Excitation
 from dynasindy.findings import Finding, note
 from dynasindy.identification.source import PERIOD, DataSource, Source
 from dynasindy.limits import Positive
 from dynasindy.safe_io import checked_class
-from dynasindy.sensing import Sensors
 from dynasindy.systems.base import Ends, System, sample_states
 from dynasindy.systems.checks import require_plant
 from dynasindy.systems.transitions import Transitions
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 HOLD = 0.5
 """Time for which an input of the validation is held, unless it is shorter [s]."""

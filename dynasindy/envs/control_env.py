@@ -15,14 +15,14 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import _make_compatible_policy
 
+from dynasindy.envs import Task, Tracking
+from dynasindy.envs.tracking_machine import TrackingMachine
 from dynasindy.limits import Positive, check_memory
 from dynasindy.safe_io import checked
 from dynasindy.systems import System, integrate, repeat_steps, simulate
 from dynasindy.systems.checks import rates_at_start, require_plant
 from dynasindy.systems.integrators import plain
 from dynasindy.systems.steps import split_delay, steps_of, time_step_of
-from dynasindy.tasks import Task, Tracking
-from dynasindy.tasks.machine import TrackingMachine
 
 FARTHEST = 1e4
 """Ranges of a state beyond which nothing is told of a plant: squares and exponents of such numbers soon overflow."""

@@ -19,9 +19,9 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Unbounded
 
+from dynasindy.envs import Task
 from dynasindy.envs.control_env import ControlEnv
 from dynasindy.systems import Signature, System
-from dynasindy.tasks import Task
 
 STARTS = 256
 """Resets that show where episodes begin; no step is taken."""

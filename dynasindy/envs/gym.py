@@ -14,12 +14,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
+from dynasindy.envs import RandomStep, Tracking, TrackingReward
 from dynasindy.envs.control_env import ControlEnv
 from dynasindy.envs.drawing import Frame, draw
+from dynasindy.envs.tracking_machine import TrackingMachine
 from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
 from dynasindy.systems.steps import steps_of
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
-from dynasindy.tasks.machine import TrackingMachine
 from dynasindy.text import duration_unit
 
 PLANTS: dict[str, Callable[[], System]] = {"tras": Tras, "xi": Xi, "trms33": Trms33}

@@ -1,1 +1,1 @@
-"""How good a controller is: tracking metrics, statistics over seeds, and fixed scenarios."""
+"""How good a controller is: metrics, statistics over seeds, scenarios, and what a model says of it before it flies."""

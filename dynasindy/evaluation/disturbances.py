@@ -12,10 +12,9 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from dynasindy.envs import ControlEnv
+from dynasindy.control.offset import Policy
+from dynasindy.envs import Channel, ControlEnv, Sensors
 from dynasindy.limits import Count
-from dynasindy.sensing import Channel, Sensors
-from dynasindy.sensing.offset import Policy
 from dynasindy.systems import Altered, Signature, System
 
 SHARE = 1e-3

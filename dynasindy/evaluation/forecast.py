@@ -10,11 +10,11 @@ from typing import Any
 
 import torch
 
+from dynasindy.control.sensing import Sensing
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
 from dynasindy.evaluation.tracking_criteria import WITHIN, TrackingCriteria, judge_control, judge_tracking
 from dynasindy.findings import Finding, records, weak, wrong
-from dynasindy.sensing import Sensing
 from dynasindy.sentences import gravest_first
 from dynasindy.systems import Diverged, System
 from dynasindy.systems.equilibria import states_that_matter

@@ -19,7 +19,8 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.agents.replay import require_finite_rollout
-from dynasindy.envs import ControlEnv
+from dynasindy.control.sensing import Sensing
+from dynasindy.envs import ControlEnv, Reference, Sampled, Step, Task, Tracking
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, steady_seconds, tracking_metrics
@@ -28,10 +29,8 @@ from dynasindy.findings import Finding, note, weak
 from dynasindy.limits import Count, check_memory, raise_if_memory
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import file_name, write_csv, write_json
-from dynasindy.sensing import Sensing
 from dynasindy.systems import Signature, System
 from dynasindy.systems.base import turn_of
-from dynasindy.tasks import Reference, Sampled, Step, Task, Tracking
 from dynasindy.text import format_duration
 
 Policy = Callable[[TensorDictBase], TensorDictBase]

@@ -50,7 +50,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.text import format_duration
 
 if TYPE_CHECKING:
-    from dynasindy.excitation import Excitation
+    from dynasindy.envs import Excitation
 
 FINEST = 1e-6
 """Part of the range of a state below which what a sensor resolves is no noise."""

@@ -21,7 +21,7 @@ from dynasindy.systems.transitions import Transitions
 
 if TYPE_CHECKING:
     from dynasindy.data.recording import Recording
-    from dynasindy.excitation import Excitation
+    from dynasindy.envs import Excitation
 
 VALIDATION_SHARE = 0.25
 """Part of a log, at its end, that is kept to judge on."""

@@ -19,7 +19,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
 from dynasindy.agents import TD3, Actor, DynaReplay
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Tracking
 from dynasindy.limits import Count, Positive, check_memory
 from dynasindy.planning.imagined_replay import Planned, Planner
 from dynasindy.planning.imitation import Imitation, hold, imagined_rewards, improve
@@ -31,7 +31,6 @@ from dynasindy.progress import report_progress
 from dynasindy.safe_io import checked
 from dynasindy.sentences import setting
 from dynasindy.systems import Diverged, System
-from dynasindy.tasks import Tracking
 
 REAL_STARTS, JUMPS = 0.25, 0.25
 """Shares of imagined episodes that begin at real states, and where the last one ended, so that the reference jumps; the

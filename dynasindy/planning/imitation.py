@@ -27,13 +27,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor, nn
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Tracking
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.planning.rollout import Network, Rows, Window, imagine
 from dynasindy.planning.trajectory_library import WEIGHTS, TrajectoryLibrary, at_rest, cross_entropy, signal
 from dynasindy.progress import track
 from dynasindy.systems.equilibria import Equilibria
-from dynasindy.tasks import Tracking
 
 LADDER = (0.003, 0.03, 0.3, 3.0, 30.0, 300.0)
 """Weights of the tracked states that are tried; a plant of many poles is caught by gentle laws alone."""

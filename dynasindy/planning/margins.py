@@ -19,12 +19,11 @@ import math
 import torch
 from torch import Tensor, nn
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Tracking
+from dynasindy.envs.references import Step
 from dynasindy.planning.rollout import Network, Rows, imagine
 from dynasindy.systems import integrate
 from dynasindy.systems.equilibria import Equilibria
-from dynasindy.tasks import Tracking
-from dynasindy.tasks.references import Step
 
 MOVEMENT = 0.01
 """Movements by which loops are judged [ranges]: what dry friction, a rotor at standstill or a policy does about a still

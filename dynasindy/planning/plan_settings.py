@@ -21,10 +21,9 @@ import torch
 from torch import Tensor
 from torch.quasirandom import SobolEngine
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Tracking
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.systems.equilibria import Equilibria, find_equilibria, growth, modes
-from dynasindy.tasks import Tracking
 from dynasindy.text import format_duration
 
 GROWN = 30.0

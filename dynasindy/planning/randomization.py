@@ -21,10 +21,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Tracking
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.systems.equilibria import Equilibria
-from dynasindy.tasks import Tracking
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,9 @@ from scipy.linalg import expm, solve_discrete_are
 from torch import Tensor
 from torch.nn.functional import pad
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Tracking
 from dynasindy.systems.equilibria import Equilibria
 from dynasindy.systems.steps import steps_of
-from dynasindy.tasks import Tracking
 
 DEGREE = 3
 """Degree of the polynomials through the rests."""

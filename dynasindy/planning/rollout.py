@@ -33,12 +33,11 @@ from torch import Tensor
 
 from dynasindy.agents.machine import LINE, line_of, network_pointers
 from dynasindy.agents.networks import MLP, Layer
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Task
 from dynasindy.planning.randomization import InputStrength
 from dynasindy.systems import integrate
 from dynasindy.systems.compiler import addresses, c_text, find_library
 from dynasindy.systems.machine import Machine
-from dynasindy.tasks import Task
 
 Network = Callable[[Tensor], Tensor]
 """Observations `(*batch, n_o)` to actions `(*batch, n_u)`."""

@@ -30,13 +30,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Tracking
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.planning.rollout import Network, Rows, imagine, sensitivities
 from dynasindy.progress import track
 from dynasindy.systems import integrate
 from dynasindy.systems.equilibria import Equilibria
-from dynasindy.tasks import Tracking
 
 POPULATION, ELITE, ROUNDS = 1024, 0.1, 30
 """Signals per start, the share of them around which is drawn anew, and how often."""

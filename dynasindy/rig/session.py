@@ -18,8 +18,8 @@ from pydantic import create_model
 from dynasindy import workbench
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
+from dynasindy.envs import Excitation, Step
 from dynasindy.evaluation.scenarios import Scenario
-from dynasindy.excitation import Excitation
 from dynasindy.identification.identify import LoggedData, identify
 from dynasindy.identification.source import Source
 from dynasindy.planning import GradientPlanning
@@ -31,7 +31,6 @@ from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.systems import Diverged, Signature
 from dynasindy.systems.base import WHOLE
 from dynasindy.systems.transitions import Transitions
-from dynasindy.tasks import Step
 from dynasindy.text import did_you_mean
 
 Tell = Callable[[str], None]

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from dynasindy.envs import Sensors
 from dynasindy.rig.base import Array, RigClock
-from dynasindy.sensing import Sensors
 from dynasindy.systems import System, integrate
 from dynasindy.systems.base import Ends, sample_states
 from dynasindy.systems.checks import require_plant

@@ -18,12 +18,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from dynasindy.envs import Task
 from dynasindy.sindy.equations import format_sum
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.named_libraries import LibraryBuilder, build_library
 from dynasindy.sindy.regression import Regression, TriangularFactor
 from dynasindy.systems import Diverged, Signature
-from dynasindy.tasks import Task
 
 Reward = Callable[[Tensor, Tensor, Tensor], Tensor]
 """`(x, u, x_next) -> (*batch,)`: states, inputs in [-1, 1], and the states a control period later."""

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch
 from torch import Tensor
 
-from dynasindy.checking import Check, Thresholds
-from dynasindy.checking.check import TOLERANCE
-from dynasindy.checking.linear_loop import frequencies, open_loop_response
+from dynasindy.evaluation.check import TOLERANCE, Check
+from dynasindy.evaluation.check_verdict import Thresholds
+from dynasindy.evaluation.linear_loop import frequencies, open_loop_response
 from dynasindy.text import format_duration
 from dynasindy.viz.style import (
     BLACK,

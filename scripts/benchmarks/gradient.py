@@ -23,18 +23,25 @@ from dynasindy.control.integral import IntegralAction
 from dynasindy.dyna.callback import Callback, Place
 from dynasindy.dyna.experiment import Components, LoopSettings, Recipe
 from dynasindy.dyna.loop import train
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import (
+    Channel,
+    ControlEnv,
+    Multisine,
+    RandomStep,
+    Reference,
+    Sensors,
+    Tracking,
+    TrackingReward,
+    Wave,
+)
 from dynasindy.evaluation.disturbances import PerturbedPlant
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate, step_references
-from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning
 from dynasindy.safe_io import Row
-from dynasindy.sensing import Channel, Sensors
 from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
 from dynasindy.systems import System, Tras, Trms33, Xi
 from dynasindy.systems.tras import TrasConstants
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.tasks import RandomStep, Reference, Tracking, TrackingReward, Wave
 
 Pair = tuple[float, float]
 

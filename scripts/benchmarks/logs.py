@@ -26,8 +26,8 @@ import dynasindy
 from benchmarks.common import NAMES, EquationSystem, add_choices, add_output, add_seeds, measure_plants, run_command
 from dynasindy import Controller
 from dynasindy.data.headings import in_radians
+from dynasindy.envs import Channel, Sensors
 from dynasindy.safe_io import Row, write_csv
-from dynasindy.sensing import Channel, Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, integrate
 

@@ -6,9 +6,8 @@ import pytest
 import torch
 
 from dynasindy.agents.replay import require_finite_rollout
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Step, Tracking, TrackingReward
 from dynasindy.systems import Diverged, Signature, System
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 SIGNATURE = Signature(("angle", "rate"), ("rad", "rad/s"), ("torque",), (1.0, 1.0))
 

@@ -16,11 +16,10 @@ import dynasindy
 from dynasindy import Controller
 from dynasindy.agents.networks import actor
 from dynasindy.control.controller import ControlSetup
+from dynasindy.envs import Channel, RandomStep, Tracking, TrackingReward
 from dynasindy.safe_io import read_rows
-from dynasindy.sensing import Channel
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 
 class Given:

@@ -13,9 +13,8 @@ from scipy.integrate import solve_ivp
 from torchrl.envs.utils import check_env_specs
 
 import dynasindy  # noqa: F401 (registers the environments)
-from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
+from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv, RandomStep, Step, Tracking, TrackingReward
 from dynasindy.systems import Pendulum, Tras, Xi
-from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 
 IDS = ["dynasindy/TwinRotor-v0", "dynasindy/Pendulum-v0"]
 

@@ -246,8 +246,8 @@ def test_a_config_that_is_no_plain_yaml_is_refused(read, run, canary, text, adde
     [
         ("system", {"_target_": "dynasindy.planning.Gate"}),
         ("task", {"_target_": "dynasindy.planning.Gate", "_partial_": True}),
-        ("env", {"_target_": "dynasindy.tasks.Step", "_partial_": True}),
-        ("agent", {"_target_": "dynasindy.tasks.Step", "_partial_": True}),
+        ("env", {"_target_": "dynasindy.envs.Step", "_partial_": True}),
+        ("agent", {"_target_": "dynasindy.envs.Step", "_partial_": True}),
         ("agent.hidden", [10**6, 10**6]),  # more than memory holds
     ],
 )

@@ -16,10 +16,10 @@ import torch
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import ControlSetup
+from dynasindy.envs import Step, Tracking, TrackingReward
 from dynasindy.safe_io import append_rows
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 REPOSITORY = Path(__file__).parents[2]
 RESOURCE = pytest.importorskip("resource", reason="limits of a process are those of POSIX")

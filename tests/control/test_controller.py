@@ -11,15 +11,14 @@ import torch
 from tensordict.nn import TensorDictModule
 
 from dynasindy.agents.networks import MLP, actor
-from dynasindy.control import Controller
+from dynasindy.control import Controller, Observer
 from dynasindy.control.controller import ControlLaw, ControlSetup
 from dynasindy.control.integral import IntegralAction
-from dynasindy.envs import ControlEnv
+from dynasindy.control.sensing import Sensing
+from dynasindy.envs import ControlEnv, Sensors, Step, Tracking, TrackingReward, Wave
 from dynasindy.evaluation.scenarios import Scenario, evaluate
-from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Signature, System
-from dynasindy.tasks import Step, Tracking, TrackingReward, Wave
 
 WORDS = ["u", "Omega", "sin(theta)"]
 COUNT = 2 * math.pi / 4096

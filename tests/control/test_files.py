@@ -9,13 +9,12 @@ import pytest
 import torch
 
 from dynasindy.agents.networks import actor
-from dynasindy.control import Controller, load, save
+from dynasindy.control import Controller, Observer, load, save
 from dynasindy.control.controller import ControlSetup
+from dynasindy.envs import Sensors, Step, Tracking, TrackingReward
 from dynasindy.safe_io import DamagedFileError
-from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Stops
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 SIGNATURE = Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.5, 3.0))
 

@@ -6,9 +6,8 @@ import pytest
 import torch
 
 from dynasindy.control.integral import IntegralAction
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Step, Tracking, TrackingReward, Wave
 from dynasindy.systems.pendulum import Pendulum
-from dynasindy.tasks import Step, Tracking, TrackingReward, Wave
 
 
 def setting():

@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from dynasindy.data.recording import LogReader
+from dynasindy.envs import base
 from dynasindy.findings import LogError, note, weak, wrong
 from dynasindy.identification.identify import LoggedData
 from dynasindy.systems import BlackBox
-from dynasindy.tasks import base
 
 
 class Task(base.Task):

@@ -12,12 +12,10 @@ from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna.callback import Callback, Place
 from dynasindy.dyna.experiment import Components, LoopSettings, Recipe
 from dynasindy.dyna.loop import train
-from dynasindy.envs import ControlEnv
-from dynasindy.excitation import Multisine
+from dynasindy.envs import ControlEnv, Multisine, RandomStep, Tracking, TrackingReward
 from dynasindy.planning import Gate, ImaginedReplay
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Pendulum
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 
 class Goal:

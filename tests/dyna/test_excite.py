@@ -6,6 +6,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from dynasindy.control import Observer
+from dynasindy.control.sensing import Sensing
 from dynasindy.dyna.excite import (
     RegulatedExcitation,
     _excitation_limits,
@@ -13,13 +15,20 @@ from dynasindy.dyna.excite import (
     excitation_findings,
     excite,
 )
-from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
-from dynasindy.excitation import Multisine
+from dynasindy.envs import (
+    ControlEnv,
+    Foreign,
+    GymnasiumEnv,
+    Multisine,
+    RandomStep,
+    Sensors,
+    Step,
+    Tracking,
+    TrackingReward,
+)
 from dynasindy.findings import note, weak
-from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.systems import Pendulum, Signature, System, Xi
 from dynasindy.systems.transitions import Transitions
-from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 
 BOUNDS = {"theta": 0.5, "p": 2.0}
 

@@ -8,12 +8,10 @@ from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna import experiment
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings
-from dynasindy.envs import ControlEnv
-from dynasindy.excitation import Chirp
+from dynasindy.envs import Chirp, ControlEnv, RandomStep, Tracking
 from dynasindy.planning import Gate, NoPlanning
 from dynasindy.sindy import Oracle
 from dynasindy.systems import Tras
-from dynasindy.tasks import RandomStep, Tracking
 
 
 def recipe(seed=0):

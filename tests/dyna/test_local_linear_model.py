@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import pytest
 import torch
 
+from dynasindy.control import Observer
+from dynasindy.control.sensing import Sensing
 from dynasindy.dyna.excite import _fit_local_model, _interact
-from dynasindy.envs import ControlEnv
-from dynasindy.sensing import Observer, Sensing, Sensors
+from dynasindy.envs import ControlEnv, RandomStep, Sensors, Tracking, TrackingReward
 from dynasindy.systems import Signature, System
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 ENDS = torch.tensor([-0.5, -torch.inf]), torch.tensor([0.5, torch.inf])
 

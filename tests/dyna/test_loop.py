@@ -8,12 +8,10 @@ from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings, train
 from dynasindy.dyna.refit import Refit
-from dynasindy.envs import ControlEnv
-from dynasindy.excitation import Chirp
+from dynasindy.envs import Chirp, ControlEnv, RandomStep, Tracking
 from dynasindy.planning import Gate, ImaginedReplay, NoPlanning, Planned, Planner
 from dynasindy.sindy import Oracle
 from dynasindy.systems import Tras, Xi
-from dynasindy.tasks import RandomStep, Tracking
 
 
 class Recording(Planner):

@@ -15,14 +15,12 @@ from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings, train
 from dynasindy.dyna.recorder import Evaluating, Recorder
 from dynasindy.dyna.refit import Refit
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import Chirp, ControlEnv, RandomStep, Step, Tracking
 from dynasindy.evaluation.scenarios import Scenario
-from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ModelError, NoPlanning
 from dynasindy.progress import listening
 from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.systems import Tras, Xi
-from dynasindy.tasks import RandomStep, Step, Tracking
 
 
 @pytest.fixture(scope="module")

@@ -12,13 +12,11 @@ from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna.excite import _interact
 from dynasindy.dyna.experiment import LoopSettings, Recipe
 from dynasindy.dyna.refit import _acting, _fit, _held_out_windows, first_fit, refit
-from dynasindy.envs import ControlEnv
-from dynasindy.excitation import Chirp
+from dynasindy.envs import Chirp, ControlEnv, RandomStep, Tracking
 from dynasindy.planning import Gate, ModelError, NoPlanning, replay_error
 from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.systems import Diverged, Xi
 from dynasindy.systems.transitions import Transitions
-from dynasindy.tasks import RandomStep, Tracking
 
 
 class Scaled(Oracle):

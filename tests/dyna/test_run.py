@@ -12,14 +12,12 @@ from dynasindy.dyna import Stopped
 from dynasindy.dyna.experiment import LoopSettings, Recipe
 from dynasindy.dyna.recorder import Evaluating
 from dynasindy.dyna.run import run, run_report
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Multisine, RandomStep, Step, Tracking
 from dynasindy.evaluation.scenarios import Scenario
-from dynasindy.excitation import Multisine
 from dynasindy.findings import note, weak
 from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay, NoPlanning
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Xi
-from dynasindy.tasks import RandomStep, Step, Tracking
 
 REPLAYED = partial(ImaginedReplay, rollouts=6, horizon=4, generations=2)
 GRADIENT = partial(

@@ -6,9 +6,8 @@ import pytest
 import torch
 
 from dynasindy.dyna import simulated
-from dynasindy.excitation import Aprbs, Chirp, Multisine
+from dynasindy.envs import Aprbs, Chirp, Multisine, Sensors
 from dynasindy.identification.log_fit import fit_log
-from dynasindy.sensing import Sensors
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Signature, System
 

@@ -4,9 +4,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward, Wave
 from dynasindy.systems import Pendulum, Signature, System, Tras, Xi
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward, Wave
 
 
 def make(system=None, **settings):

@@ -6,9 +6,8 @@ import torch
 from scipy.integrate import solve_ivp
 from torchrl.envs.utils import check_env_specs
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Step, Tracking, TrackingReward
 from dynasindy.systems import Pendulum, Signature, System
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 DT = 0.05
 

@@ -8,10 +8,9 @@ import pytest
 import torch
 from gymnasium import spaces
 
-from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
+from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv, Step, Tracking, TrackingReward
 from dynasindy.envs.foreign import _Observed
 from dynasindy.systems import Pendulum
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 PENDULUM = {"states": {"c": 1.0, "s": 1.0, "w": 8.0}, "inputs": ["torque"]}
 BY_HAND = "by_hand/Steps-v0"

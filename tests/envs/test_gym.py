@@ -13,11 +13,10 @@ import torch
 from gymnasium.utils.env_checker import check_env
 
 import dynasindy  # noqa: F401 (registers the environments)
-from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
+from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv, Step, Tracking, TrackingReward, Wave
 from dynasindy.envs.drawing import draw
 from dynasindy.envs.gym import _GymControl, pendulum, twin_rotor
 from dynasindy.systems import Tras
-from dynasindy.tasks import Step, Tracking, TrackingReward, Wave
 
 IDS = ["dynasindy/TwinRotor-v0", "dynasindy/Pendulum-v0"]
 

@@ -7,14 +7,13 @@ from scipy.linalg import expm
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
-from dynasindy.envs import ControlEnv
+from dynasindy.control.sensing import Sensing
+from dynasindy.envs import ControlEnv, Step, Tracking
 from dynasindy.envs.rollout_data import record_plant
-from dynasindy.sensing import Sensing
 from dynasindy.systems import Tras, rk4
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.steps import Stops
 from dynasindy.systems.transitions import Transitions
-from dynasindy.tasks import Step, Tracking
 
 
 class Oscillator(System):

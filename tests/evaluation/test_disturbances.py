@@ -5,10 +5,9 @@ import torch
 from alternating import Alternating
 from tensordict import TensorDict, TensorDictBase
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Step, Tracking, Wave
 from dynasindy.evaluation.disturbances import DelayedActuator, PerturbedPlant, SensorNoise
 from dynasindy.systems import Tras, Xi, integrate
-from dynasindy.tasks import Step, Tracking, Wave
 
 X = torch.rand(4, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
 U = torch.rand(4, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(1))

@@ -6,14 +6,13 @@ import torch
 from scipy.integrate import solve_ivp
 
 from dynasindy.dyna.recorder import judge_run
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, RandomStep, Step, Tracking, TrackingReward
 from dynasindy.evaluation import forecast as module
 from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.tracking_criteria import TrackingCriteria
 from dynasindy.findings import weak, wrong
 from dynasindy.systems import Pendulum, System
-from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 
 
 def seen(share, away=None, worst=None, idle=None):

@@ -7,13 +7,12 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, RandomStep, Step, Tracking, TrackingReward
 from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
 from dynasindy.evaluation.summary import to_text
 from dynasindy.evaluation.tracking_criteria import judge_tracking
 from dynasindy.systems import Diverged, Pendulum, Signature, System, Tras, Xi
-from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 
 PITCH_ZERO = (-0.1223, 0.2100)
 """Inputs that hold `xi` at pitch 0 (design table of equilibria)."""

@@ -4,14 +4,13 @@ import pytest
 import torch
 
 from dynasindy.agents.networks import actor
-from dynasindy.control import Controller
+from dynasindy.control import Controller, Observer
 from dynasindy.control.controller import ControlSetup
-from dynasindy.sensing import Observer, Sensors
+from dynasindy.envs import Sensors, Step, Tracking, TrackingReward
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.library import Library, of, variable
 from dynasindy.sindy.named_libraries import rotor
 from dynasindy.systems import Signature, Stops, Tras
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 PENDULUM = Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.5, 3.0))
 

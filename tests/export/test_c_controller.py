@@ -11,14 +11,13 @@ import pytest
 import torch
 
 from dynasindy.agents.networks import actor
-from dynasindy.control import Controller, load, save
+from dynasindy.control import Controller, Observer, load, save
 from dynasindy.control.controller import ControlSetup
+from dynasindy.envs import Sensors, Step, Tracking, TrackingReward
 from dynasindy.export import Native, controller_sources
-from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Signature, Stops, Tras, integrate
 from dynasindy.systems.compiler import compile_library, compiler
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 

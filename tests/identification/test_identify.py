@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from dynasindy.dyna.simulated import Simulated
-from dynasindy.excitation import Aprbs, Chirp
+from dynasindy.envs import Aprbs, Chirp
 from dynasindy.findings import LogError, note
 from dynasindy.identification.identify import Identified, LoggedData
 from dynasindy.identification.source import Source

@@ -6,7 +6,7 @@ from functools import partial
 import torch
 
 from dynasindy.dyna.simulated import Simulated
-from dynasindy.excitation import Chirp
+from dynasindy.envs import Chirp
 from dynasindy.findings import Finding, note
 from dynasindy.identification.identify import Identified
 from dynasindy.sindy import Refinement, Regression, SindyModel

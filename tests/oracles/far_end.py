@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
+from dynasindy.envs import Sensors
 from dynasindy.rig.base import Array
 from dynasindy.rig.udp import REST, UdpRig
-from dynasindy.sensing import Sensors
 from dynasindy.systems import System, integrate
 
 BRIDGED = 1

@@ -5,12 +5,11 @@ import torch
 from alternating import Mapped
 
 from dynasindy.agents import TD3, DynaReplay
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.plan_settings import find_task_equilibria
 from dynasindy.systems import Signature, System
 from dynasindy.systems.xi import Xi
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 
 @pytest.fixture

@@ -1,10 +1,9 @@
 import pytest
 import torch
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Step, Tracking, Wave
 from dynasindy.planning import Gate, ModelError, replay_error
 from dynasindy.systems import System, Tras, Xi
-from dynasindy.tasks import Step, Tracking, Wave
 
 
 def errors(*rewards):

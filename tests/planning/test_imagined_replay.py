@@ -8,10 +8,9 @@ from tensordict.nn import TensorDictModule
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
 from dynasindy.agents import LEARN_KEYS, TD3, DynaReplay
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, RandomStep, Step, Tracking, Wave
 from dynasindy.planning import Imagination, ImaginedReplay, Planned, Planner
 from dynasindy.systems import Diverged, System, Tras
-from dynasindy.tasks import RandomStep, Step, Tracking, Wave
 
 PLANT = Tras()
 ENV = ControlEnv(PLANT, Tracking(PLANT.signature, RandomStep([-0.5, -0.5], [0.5, 0.4])))

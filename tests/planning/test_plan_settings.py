@@ -7,10 +7,9 @@ import torch
 from scipy.linalg import solve_discrete_are
 
 from dynasindy.control.period import _settles
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward
 from dynasindy.planning.plan_settings import SUBSTEPS, PlanSettings, choose_plan_settings, find_task_equilibria
 from dynasindy.systems import Signature, System, Tras, Xi
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 
 class Linear(System):

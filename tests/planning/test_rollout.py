@@ -7,13 +7,12 @@ import torch
 from torch import nn
 
 from dynasindy.agents.networks import MLP
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward, Wave
 from dynasindy.planning.randomization import InputStrength
 from dynasindy.planning.rollout import Rows, backward, imagine, sensitivities
 from dynasindy.systems import rk4
 from dynasindy.systems.compiler import compiler
 from dynasindy.systems.xi import Xi
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward, Wave
 
 STEPS = 25
 SHARES = torch.linspace(0.0, 1.0, 8).unsqueeze(-1)

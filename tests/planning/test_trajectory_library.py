@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward
 from dynasindy.planning import trajectory_library
 from dynasindy.planning.plan_settings import find_task_equilibria
 from dynasindy.planning.regulator import Regulator
@@ -20,7 +20,6 @@ from dynasindy.planning.trajectory_library import (
     _find_caught_trajectories,
 )
 from dynasindy.systems import Signature, System
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 
 class Pole(System):

@@ -5,10 +5,9 @@ import math
 import pytest
 import torch
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward
 from dynasindy.planning.trajectory_library import FAR, OUTSIDE, _objective, _roll, _search, cross_entropy, signal
 from dynasindy.systems import Signature, System
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 
 class Mass(System):

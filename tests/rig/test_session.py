@@ -16,14 +16,12 @@ from tensordict.nn import TensorDictModule
 from dynasindy import Controller, load
 from dynasindy.agents.networks import actor
 from dynasindy.control.controller import ControlSetup
-from dynasindy.excitation import Multisine
+from dynasindy.envs import Multisine, RandomStep, Sensors, Tracking, TrackingReward
 from dynasindy.rig import Guard, UdpRig, Wiring
 from dynasindy.rig.session import Knowledge, Session, _forecast_flight
 from dynasindy.rig.simulated import SimulatedRig
-from dynasindy.sensing import Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import BlackBox, Diverged, Pendulum, Signature
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 COUNT = 2 * np.pi / 4096
 KNOWLEDGE = Knowledge(

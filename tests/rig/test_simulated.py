@@ -9,8 +9,8 @@ from fast_clock import FastClock
 from scipy.integrate import solve_ivp
 from tank import Tank
 
+from dynasindy.envs import Sensors
 from dynasindy.rig.simulated import SimulatedRig, rehearsal
-from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, rk4
 
 

@@ -10,10 +10,10 @@ import torch
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, save
 from dynasindy.control.controller import ControlSetup
+from dynasindy.envs import Step, Tracking, TrackingReward
 from dynasindy.findings import note, records, weak
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 SMALL = ("points=1", "grid=2", "draws=1", "seconds=3")
 

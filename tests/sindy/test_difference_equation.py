@@ -6,12 +6,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Step, Tracking, TrackingReward
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
 from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 SIGNATURE = Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0))
 TRUE = {("a", "a"): -0.6, ("a", "u"): 0.3, ("a", "b^2"): 0.2, ("b", "b"): 0.5, ("b", "a"): -0.4}

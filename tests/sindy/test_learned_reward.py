@@ -10,8 +10,7 @@ import torch
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings, train
-from dynasindy.envs import Foreign, GymnasiumEnv
-from dynasindy.excitation import Multisine
+from dynasindy.envs import Foreign, GymnasiumEnv, Multisine
 from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay
 from dynasindy.sindy import LearnedReward, SindyModel
 from dynasindy.systems import Diverged, Signature

@@ -12,7 +12,7 @@ import torch
 from scipy.linalg import expm
 from torch import Tensor
 
-from dynasindy.excitation import Aprbs, Chirp, Excitation, Multisine
+from dynasindy.envs import Aprbs, Chirp, Excitation, Multisine
 from dynasindy.findings import weak
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.fit_report import Refined

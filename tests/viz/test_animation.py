@@ -7,11 +7,10 @@ import pytest
 import torch
 from PIL import Image
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Step, Tracking, TrackingReward
 from dynasindy.envs.drawing import draw
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.systems import Pendulum, Tras
-from dynasindy.tasks import Step, Tracking, TrackingReward
 from dynasindy.viz.animation import _frames, animate
 
 

@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking import Check, ClosedLoop, Settings, Thresholds, check
-from dynasindy.checking.linear_loop import frequencies, open_loop_response
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
+from dynasindy.envs import Step, Tracking, TrackingReward
+from dynasindy.evaluation.check import Check, Settings, check
+from dynasindy.evaluation.check_verdict import Thresholds
+from dynasindy.evaluation.closed_loop import ClosedLoop
+from dynasindy.evaluation.linear_loop import frequencies, open_loop_response
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
-from dynasindy.tasks import Step, Tracking, TrackingReward
 from dynasindy.viz.check import draw_check
 
 CART = Signature(("p", "v"), ("m", "m/s"), ("force",), (2.0, 3.0))

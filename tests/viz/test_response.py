@@ -9,14 +9,13 @@ import pytest
 import torch
 from matplotlib.colors import to_rgb
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Reference, Step, Tracking, TrackingReward, Wave
 from dynasindy.evaluation.disturbances import PerturbedPlant
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.rig import Guard, Wiring
 from dynasindy.rig.log import FlightRecord
 from dynasindy.systems import Pendulum, Signature, Tras
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.tasks import Reference, Step, Tracking, TrackingReward, Wave
 from dynasindy.viz import response
 from dynasindy.viz.response import (
     _draw_excitation,

@@ -18,7 +18,7 @@ MODULES = (
     *("torchrl.objectives", "torchrl.record", "torch.optim", "torch.quasirandom", "numpy", "pandas"),
     *("scipy.integrate", "scipy.interpolate", "scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.special"),
     *("matplotlib.pyplot", "matplotlib.backends.backend_agg", "jinja2", "rich.progress", "rich.table", "PIL.Image"),
-    *("dynasindy.dyna.run", "dynasindy.viz.run", "dynasindy.rig", "dynasindy.checking", "dynasindy.evaluation"),
+    *("dynasindy.dyna.run", "dynasindy.viz.run", "dynasindy.rig", "dynasindy.evaluation", "dynasindy.evaluation"),
     *("dynasindy.export", "dynasindy.export.formats", "dynasindy.workbench"),
     *("dynasindy.identification.identify", "dynasindy.viz.animation"),
     *("dynasindy.viz.report", "dynasindy.rig.simulated"),

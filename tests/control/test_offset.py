@@ -6,13 +6,13 @@ from functools import partial
 import pytest
 import torch
 
-from dynasindy.envs import ControlEnv
+from dynasindy.control import Observer
+from dynasindy.control.offset import acting, correction
+from dynasindy.control.sensing import Sensing
+from dynasindy.envs import ControlEnv, Sensors, Step, Tracking, TrackingReward
 from dynasindy.evaluation.disturbances import PerturbedPlant
 from dynasindy.evaluation.scenarios import Scenario, evaluate
-from dynasindy.sensing import Observer, Sensing, Sensors
-from dynasindy.sensing.offset import acting, correction
 from dynasindy.systems import Signature, System, Tras
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 A = torch.tensor([[0.0, 1.0, 0.0], [-4.0, -0.8, 2.0], [0.0, 0.0, -3.0]], dtype=torch.float64)
 B = torch.tensor([[0.0], [0.0], [3.0]], dtype=torch.float64)

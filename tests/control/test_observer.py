@@ -7,12 +7,11 @@ import pytest
 import torch
 from scipy.linalg import solve_discrete_are
 
-from dynasindy.envs import ControlEnv
+from dynasindy.control import Observer
+from dynasindy.control.observer import CANDIDATES, Belief
+from dynasindy.envs import ControlEnv, Sensors, Step, Tracking, TrackingReward
 from dynasindy.findings import FindingError
-from dynasindy.sensing import Observer, Sensors
-from dynasindy.sensing.observer import CANDIDATES, Belief
 from dynasindy.systems import Diverged, Signature, System, Tras, integrate
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 DT = 0.05
 A = torch.tensor([[0.0, 1.0, 0.0], [-4.0, -0.8, 2.0], [0.0, 0.0, -3.0]], dtype=torch.float64)

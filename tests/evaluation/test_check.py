@@ -9,16 +9,15 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from dynasindy.checking.check import Settings, check
-from dynasindy.checking.closed_loop import ClosedLoop
-from dynasindy.checking.verdict import check_record
-from dynasindy.control import Controller
+from dynasindy.control import Controller, Observer
 from dynasindy.control.controller import ControlSetup
+from dynasindy.envs import Sensors, Step, Tracking, TrackingReward
+from dynasindy.evaluation.check import Settings, check
+from dynasindy.evaluation.check_verdict import check_record
+from dynasindy.evaluation.closed_loop import ClosedLoop
 from dynasindy.progress import listening
-from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 SMALL = Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=2)
 

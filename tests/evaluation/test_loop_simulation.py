@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.check import LONGER, Settings, check
-from dynasindy.checking.closed_loop import LoopSimulation
+from dynasindy.evaluation.check import LONGER, Settings, check
+from dynasindy.evaluation.closed_loop import LoopSimulation
 
 HERE = Settings((0.0,), (0.0,), points=1, reach=0.5, draws=0)
 ENDS = Settings((-0.4,), (0.4,), points=2, grid=2, draws=0)

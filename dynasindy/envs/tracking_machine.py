@@ -11,11 +11,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from dynasindy.envs.references import N_PARAMS
+from dynasindy.envs.reward import ERROR_SHAPES, TrackingReward
+from dynasindy.envs.task import Task
+from dynasindy.envs.tracking import Tracking
 from dynasindy.systems.compiler import addresses, c_text, find_library
-from dynasindy.tasks.base import Task
-from dynasindy.tasks.references import N_PARAMS
-from dynasindy.tasks.reward import ERROR_SHAPES, TrackingReward
-from dynasindy.tasks.tracking import Tracking
 
 REALS = {torch.float32: ctypes.c_float, torch.float64: ctypes.c_double}
 COUNTS = ("n_x", "n_r", "n_rates", "observe_rate", "shape")
@@ -117,7 +117,7 @@ class TrackingMachine:
 
 @cache
 def _library(dtype: torch.dtype) -> ctypes.CDLL | None:
-    text = c_text("tasks", "tracking.c")
+    text = c_text("envs", "tracking.c")
     single = dtype == torch.float32
     words = {"real": "float" if single else "double"}
     text = re.sub(r"@(\w+)@", lambda gap: words.get(gap[1], gap[1] + "f" * single), text)

@@ -3,8 +3,8 @@ import math
 import pytest
 import torch
 
+from dynasindy.envs import RandomStep, Step, Tracking, TrackingReward, Wave
 from dynasindy.systems import Pendulum, Signature, Tras
-from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward, Wave
 
 SIGNATURE = Tras().signature
 

@@ -7,12 +7,11 @@ import torch
 
 from dynasindy.agents import Hyperparameters
 from dynasindy.dyna.simulated import Simulated
+from dynasindy.envs import Channel, Sensors, TrackingReward
 from dynasindy.evaluation.ablation import Level
-from dynasindy.sensing import Channel, Sensors
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import Regression
 from dynasindy.systems import Pendulum, Signature
-from dynasindy.tasks import TrackingReward
 
 SIGNATURE = Signature(("a", "b", "c"), ("rad", "rad/s", "rpm"), ("u",), (1.0, 2.0, 1000.0))
 

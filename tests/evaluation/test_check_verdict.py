@@ -12,16 +12,16 @@ import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from dynasindy.checking.check import Settings, check
-from dynasindy.checking.closed_loop import LoopSimulation
-from dynasindy.checking.linear_loop import Margins
-from dynasindy.checking.verdict import (
+from dynasindy.evaluation.check import Settings, check
+from dynasindy.evaluation.check_verdict import (
     Thresholds,
     check_record,
     check_verdict,
     thin_margin,
     unstable_targets,
 )
+from dynasindy.evaluation.closed_loop import LoopSimulation
+from dynasindy.evaluation.linear_loop import Margins
 from dynasindy.sentences import REMEDIES, SENTENCES, check_lines
 
 SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
@@ -155,7 +155,7 @@ def test_every_finding_that_may_be_weak_has_a_remedy_whose_settings_exist():
 
 
 def test_small_swings_are_told_with_their_size_and_forbid_no_flight(loops, carts, law):
-    # The weakest swing of tests/checking/test_simulation.py: the input is held, which takes more damping than there is.
+    # The weakest swing of test_loop_simulation.py: the input is held, which takes more damping than there is.
     circling = check(loops(law(40.0, 1.0, limit=1.0), carts(friction=0.8)), SMALL)
     swing = float(circling.swings.outputs.max())
     assert 0.005 < swing < 0.2

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eig, matrix_balance, solve_discrete_lyapunov
 from torch import Tensor
 
-from dynasindy.checking.closed_loop import PERIODS, ClosedLoop
+from dynasindy.evaluation.closed_loop import PERIODS, ClosedLoop
 from dynasindy.planning.margins import MOVEMENT
 from dynasindy.progress import report_progress
 from dynasindy.systems.equilibria import find_equilibria

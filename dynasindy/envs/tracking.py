@@ -10,13 +10,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from dynasindy.envs import references
+from dynasindy.envs.references import N_PARAMS, Reference
+from dynasindy.envs.reward import ERROR_SHAPES, TrackingReward
+from dynasindy.envs.task import Task
 from dynasindy.sentences import setting
 from dynasindy.systems import Signature
 from dynasindy.systems.base import Ends, sample_states
-from dynasindy.tasks import references
-from dynasindy.tasks.base import Task
-from dynasindy.tasks.references import N_PARAMS, Reference
-from dynasindy.tasks.reward import ERROR_SHAPES, TrackingReward
 
 FENCE_WIDTH = 0.05
 """Way beyond a bound at which its cost turns from quadratic to linear [ranges of the state]."""

@@ -27,10 +27,10 @@ from torch import Tensor
 
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlLaw, ControlSetup, Memory
+from dynasindy.control.observer import Belief
 from dynasindy.evaluation.metrics import steady_seconds
 from dynasindy.planning.margins import MOVEMENT
 from dynasindy.progress import track
-from dynasindy.sensing.observer import Belief
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, integrate, steps_needed
 from dynasindy.systems.integrators import MOST_DOUBLINGS

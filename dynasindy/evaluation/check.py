@@ -11,8 +11,8 @@ import pydantic
 import torch
 from torch import Tensor
 
-from dynasindy.checking.closed_loop import PERIODS, ClosedLoop, LoopSimulation
-from dynasindy.checking.linear_loop import Array, Margins, RestingLoop, find_rest, guess_rest, loop_margins
+from dynasindy.evaluation.closed_loop import PERIODS, ClosedLoop, LoopSimulation
+from dynasindy.evaluation.linear_loop import Array, Margins, RestingLoop, find_rest, guess_rest, loop_margins
 from dynasindy.progress import reporting_as, track
 from dynasindy.safe_io import checked_class
 from dynasindy.sindy import SindyModel

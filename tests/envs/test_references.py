@@ -3,9 +3,9 @@ import math
 import pytest
 import torch
 
+from dynasindy.envs import RandomStep, Reference, Step, Tracking, Wave, target, wave
+from dynasindy.envs.references import rate, value
 from dynasindy.systems import Pendulum
-from dynasindy.tasks import RandomStep, Reference, Step, Tracking, Wave, target, wave
-from dynasindy.tasks.references import rate, value
 
 
 def at(reference, seconds, rows=1):

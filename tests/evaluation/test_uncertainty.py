@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.check import _spread, _variants
-from dynasindy.checking.linear_loop import find_rest
+from dynasindy.evaluation.check import _spread, _variants
+from dynasindy.evaluation.linear_loop import find_rest
 from dynasindy.sindy import Refinement, SindyModel
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.systems import Signature

@@ -9,8 +9,8 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from dynasindy.envs import Sampled
 from dynasindy.systems import System
-from dynasindy.tasks import Sampled
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 """Reads `observation`, writes `action`."""

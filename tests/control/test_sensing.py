@@ -12,18 +12,17 @@ from torchrl.envs import Transform, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from dynasindy.agents import MEASURED_KEYS, TD3, DynaReplay
+from dynasindy.control import Observer
+from dynasindy.control.sensing import Sensing
 from dynasindy.dyna.callback import Callback, Place
 from dynasindy.dyna.experiment import LoopSettings, Recipe
 from dynasindy.dyna.loop import train
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import Chirp, ControlEnv, Multisine, RandomStep, Sensors, Step, Tracking, Wave
 from dynasindy.evaluation.disturbances import PerturbedPlant, SensorNoise
 from dynasindy.evaluation.scenarios import Scenario, evaluate
-from dynasindy.excitation import Chirp, Multisine
 from dynasindy.planning import Gate, ImaginedReplay
-from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.sindy import Oracle
 from dynasindy.systems import Tras
-from dynasindy.tasks import RandomStep, Step, Tracking, Wave
 
 COUNT = 2 * math.pi / 4096
 BENCH = {

@@ -24,9 +24,9 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
+from dynasindy.control.offset import correction
+from dynasindy.envs.sensors import LONGEST, Sensors
 from dynasindy.findings import FindingError
-from dynasindy.sensing.offset import correction
-from dynasindy.sensing.sensors import LONGEST, Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Altered, Diverged, Signature, Stops, System, integrate
 from dynasindy.systems.machine import Machine
@@ -223,7 +223,7 @@ class Observer:
         return torch.where(x.isfinite(), x, mean)
 
     def correction(self, mean: Tensor, inputs: Tensor, outputs: Sequence[int], guess: Tensor) -> Tensor:
-        """Return what counteracts the estimated push, see `dynasindy.sensing.offset`; zero before there is a model.
+        """Return what counteracts the estimated push, see `dynasindy.control.offset`; zero before there is a model.
 
         Args:
             mean: Estimate, `(*batch, n)`.

@@ -6,13 +6,12 @@ import pytest
 import torch
 
 from dynasindy.agents.networks import actor
-from dynasindy.checking.closed_loop import ClosedLoop
-from dynasindy.control import Controller
+from dynasindy.control import Controller, Observer
 from dynasindy.control.controller import ControlSetup
-from dynasindy.sensing import Observer, Sensors
+from dynasindy.envs import Sensors, Step, Tracking, TrackingReward
+from dynasindy.evaluation.closed_loop import ClosedLoop
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Stops
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 CART = Signature(("p", "v"), ("m", "m/s"), ("force",), (2.0, 3.0))
 DT = 0.1

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
+from dynasindy.envs import RandomStep, Tracking, TrackingReward, Wave
+from dynasindy.envs.tracking_machine import TrackingMachine
 from dynasindy.systems import Signature
 from dynasindy.systems.compiler import compiler
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward, Wave
-from dynasindy.tasks.machine import TrackingMachine
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 SIGNATURE = Signature(("a", "b", "c", "d"), ("rad", "rad/s", "m", "m/s"), ("u",), (1.5, 4.0, 0.3, 7.0))

@@ -7,7 +7,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.excitation import Aprbs, Chirp, Multisine
+from dynasindy.envs import Aprbs, Chirp, Multisine
 
 MOVING = [Chirp, Aprbs, Multisine]
 

@@ -8,21 +8,21 @@ import torch
 from scipy.linalg import solve_discrete_are
 from scipy.signal import cont2discrete
 
-from dynasindy.checking import check_verdict
-from dynasindy.checking.check import Settings, check
-from dynasindy.checking.closed_loop import ClosedLoop
-from dynasindy.checking.linear_loop import (
+from dynasindy.control import Controller
+from dynasindy.control.controller import ControlSetup
+from dynasindy.envs import Step, Tracking, TrackingReward
+from dynasindy.evaluation.check import Settings, check
+from dynasindy.evaluation.check_verdict import check_verdict
+from dynasindy.evaluation.closed_loop import ClosedLoop
+from dynasindy.evaluation.linear_loop import (
     Linear,
     find_rest,
     loop_margins,
     open_loop_response,
     sensitivity,
 )
-from dynasindy.control import Controller
-from dynasindy.control.controller import ControlSetup
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
-from dynasindy.tasks import Step, Tracking, TrackingReward
 
 A = np.array([[1.0, 0.1], [0.0, 1.0]])
 B = np.array([[0.005], [0.1]])

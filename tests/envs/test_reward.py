@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.tasks import TrackingReward
+from dynasindy.envs import TrackingReward
 
 
 def pay(error, change=(0.0, 0.0), at_stop=False, **settings):

@@ -11,10 +11,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.checking.check import TOLERANCE, Check, Settings
-from dynasindy.checking.closed_loop import ClosedLoop
-from dynasindy.checking.linear_loop import NEUTRAL, find_rest, loop_margins
 from dynasindy.control import Controller
+from dynasindy.evaluation.check import TOLERANCE, Check, Settings
+from dynasindy.evaluation.closed_loop import ClosedLoop
+from dynasindy.evaluation.linear_loop import NEUTRAL, find_rest, loop_margins
 from dynasindy.findings import Finding, note, records, weak, wrong
 from dynasindy.planning.margins import MOVEMENT
 from dynasindy.sindy import SindyModel

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.closed_loop import FINE, _longest_step
 from dynasindy.control.controller import ControlSetup
+from dynasindy.evaluation.closed_loop import FINE, _longest_step
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops, integrate
 

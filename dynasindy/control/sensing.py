@@ -22,11 +22,11 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import Transform, TransformedEnv
 
+from dynasindy.control.observer import Belief, Observer
+from dynasindy.control.offset import Policy, acting
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
-from dynasindy.sensing.observer import Belief, Observer
-from dynasindy.sensing.offset import Policy, acting
-from dynasindy.sensing.sensors import Sensors
+from dynasindy.envs.sensors import Sensors
 
 
 class Sensing(Transform):
