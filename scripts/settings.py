@@ -35,9 +35,9 @@ from dynasindy.systems import System
 SIZE, DEPTH = 250_000, 20
 """Size [bytes] and depth that a config.yaml may have; those of runs have 3000 and 6. Deep ones take YAML minutes."""
 PARTS = re.compile(
-    r"dynasindy\.((systems|tasks|envs|excitation|sindy|planning|agents|sensing|dyna\.experiment"
+    r"dynasindy\.((systems|envs|sindy|planning|agents|dyna\.experiment"
     r"|evaluation\.(scenarios|disturbances|ablation))\.(\w+\.)*[A-Z]\w*"
-    r"|sindy\.named_libraries\.[a-z]\w*|evaluation\.scenarios\.step_references|tasks\.references\.(target|wave))"
+    r"|sindy\.named_libraries\.[a-z]\w*|evaluation\.scenarios\.step_references|envs\.references\.(target|wave))"
 )
 """The classes and functions of the package that an experiment is made of."""
 FOREIGN = (".Foreign", ".GymnasiumEnv")

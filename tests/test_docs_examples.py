@@ -42,7 +42,7 @@ def run(root: Path, *arguments: str) -> str:
 
 def test_the_page_shows_one_file_of_each_kind_with_its_test():
     folders = {str(Path(name).parent) for name in BLOCKS}
-    kinds = {"systems", "tasks", "excitation", "sindy"}
+    kinds = {"systems", "envs", "sindy"}
     assert {f"dynasindy/{kind}" for kind in kinds} | {f"tests/{kind}" for kind in kinds} <= folders
     assert {f"conf/{kind}" for kind in ("system", "task", "excitation", "world_model", "agent")} <= folders
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 import torch
 
+from dynasindy import envs
 from dynasindy.data.recording import LogReader
-from dynasindy.envs import base
 from dynasindy.findings import LogError, note, weak, wrong
 from dynasindy.identification.identify import LoggedData
 from dynasindy.systems import BlackBox
 
 
-class Task(base.Task):
+class Task(envs.Task):
     """What every task takes of a signature."""
 
     def __init__(self, signature):

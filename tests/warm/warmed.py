@@ -15,10 +15,10 @@ from hydra import compose, initialize_config_dir
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = (
     *("torch", "tensordict", "tensordict.nn", "torchrl", "torchrl.data", "torchrl.envs", "torchrl.modules"),
-    *("torchrl.objectives", "torchrl.record", "torch.optim", "torch.quasirandom", "numpy", "pandas"),
+    *("gymnasium", "torchrl.objectives", "torchrl.record", "torch.optim", "torch.quasirandom", "numpy", "pandas"),
     *("scipy.integrate", "scipy.interpolate", "scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.special"),
     *("matplotlib.pyplot", "matplotlib.backends.backend_agg", "jinja2", "rich.progress", "rich.table", "PIL.Image"),
-    *("dynasindy.dyna.run", "dynasindy.viz.run", "dynasindy.rig", "dynasindy.evaluation", "dynasindy.evaluation"),
+    *("dynasindy.dyna.run", "dynasindy.viz.run", "dynasindy.rig", "dynasindy.evaluation"),
     *("dynasindy.export", "dynasindy.export.formats", "dynasindy.workbench"),
     *("dynasindy.identification.identify", "dynasindy.viz.animation"),
     *("dynasindy.viz.report", "dynasindy.rig.simulated"),
