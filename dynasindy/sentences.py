@@ -419,14 +419,10 @@ def check_summary(findings: Sequence[Finding]) -> str:
 
 SENTENCES: dict[str, str | Callable[..., str]] = {
     # reading
-    "log.encoding": "the file is not UTF-8 and is read as Windows-1252: {columns:list}; where these are not its "
-    "headings, save it as UTF-8",
-    "log.no_headings": "the file has no headings; its columns are called {names:list}",
     "log.long_format": "each row holds one signal; each of them has a column: {signals:list}",
     "log.title_lines": "{count:# line|# lines} above the headings {count:was|were} skipped",
     "log.sheet": "the sheet {sheet} is read, which holds most; left out: {others:list}",
     "log.other_lengths": "left out, as no columns of {length} real numbers: {names:list}",
-    "log.same_columns": "read once, as they stand there twice, with the same numbers: {columns:list}",
     "log.second_clock": "{columns:list} of the clock {clocks:list} stand at the times of {first}",
     "log.no_time": "the file has no column of time, and its rows are taken as even",
     "log.words": "line {line}, column {column!r} holds {text!r}; {count:# cell that is no number counts|"

@@ -12,6 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
 
@@ -30,24 +31,10 @@ SEPARATORS = (",", ";", "\t", "|", BLANKS)
 """What may stand between the values of a line; the first of several that do."""
 WORD = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
 """A heading between blanks, with its unit."""
-NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
-PLAIN = str.maketrans({"\u2212": "-", "\u066b": ".", **dict.fromkeys("'\u2019\u00a0\u202f\u2009")})
-"""Signs of numbers that Python does not read: another minus or decimal sign, and what parts thousands."""
-THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d*)?")
-"""A number whose points part thousands, where all points of a file with decimal commas do."""
-MEASURED = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)(?:\s+|(?![mkun]$))([^\d\s.,+-]\S*)")
-"""A number with a unit, which alone and without a blank may be a milli or a kilo."""
+NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
 DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}(?:[T ].*)?")
-STAMP = re.compile(r"^\[?(\d[\d:., T-]+)(?:\]| ->)[ \t]+")
-"""What a terminal sets before each line: `14:03:21.020 -> ` or `[2025-11-02 14:03:21.020] `."""
-LABEL = re.compile(r"\b([A-Za-z_]\w*)[ \t]*[:=][ \t]*(?=[-+.\d])")
-"""The name of a value before it, as in `angle: 0.2, u=1`."""
-LOST = frozenset(("nan", "-nan", "n/a", "#n/a", "na", "<na>", "null", "none", "#na", "nil"))
+LOST = frozenset(("nan", "-nan", "n/a", "#n/a", "na", "<na>", "null", "none"))
 """Words for a value that was not measured."""
-UNIT_LABEL = re.compile(r"(?i)unit|einheit")
-"""How a line of units is labelled, which may then stand anywhere above."""
-FOREIGN = re.compile(r"[^\x00-\x7f\W_µºª]")
-"""Letters beyond ASCII, which mean something else in each encoding but UTF-8."""
 Raw = tuple[pd.DataFrame, list[Finding]]
 
 
@@ -67,11 +54,8 @@ def read_file(path: Path) -> Raw:
         raise FileNotFoundError(f"{path} does not exist or is no file; allowed is the file of a log: correct {key}")
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        encoding = _encoding(path)
-        with path.open(encoding=encoding, errors="replace", newline="") as file:
-            table, findings = _read_text(path, file)
-        foreign = [name for name in map(str, table.columns) if FOREIGN.search(name)] if encoding == "cp1252" else []
-        return table, [*findings, *([note("log.encoding", columns=foreign)] if foreign else [])]
+        with path.open(encoding=_encoding(path), errors="replace", newline="") as file:
+            return _read_text(path, file)
     try:
         return reader(path)
     except ImportError as error:
@@ -94,7 +78,6 @@ class _Layout(NamedTuple):
 
     separator: str
     decimal: str
-    thousands: str | None
     headings: Sequence[str]
     width: int
     first: int
@@ -105,38 +88,14 @@ def _read_text(path: Path, file: TextIO) -> Raw:
     if re.match(r"\s*(?:[{<]|\[\s*[\[{])", file.read(WIDEST)):
         raise ValueError(f"{path} is JSON or markup and no table; allowed are columns: write the log as CSV")
     file.seek(0)
-    sample, plain = list[str](), 0
-    while plain < SAMPLE and (line := file.readline()):
-        sample.append(line.rstrip("\r\n")[:WIDEST])
-        plain += not re.match(r"\s*[#%]", line)
+    sample = [line.rstrip("\r\n")[:WIDEST] for line in islice(file, SAMPLE)]
     file.seek(0)
-    (labels, often), *_ = Counter(tuple(LABEL.findall(line)) for line in sample or [""]).most_common(1)
-    labels = labels if len({*labels}) == len(labels) > 1 and 2 * often > len(sample) else ()
-    stamped = 2 * sum(map(bool, map(STAMP.match, sample))) > len(sample)
-    if labels or stamped:
-        lines = (LABEL.sub("", file.read()) if labels else file.read()).splitlines()
-        if stamped:
-            bare = [STAMP.sub("", line) for line in lines[:SAMPLE]]
-            first, between = (layout := _layout(path, bare)).first, layout.separator.replace(BLANKS, " ")
-            rows = (STAMP.sub(lambda found: found[1].replace(" ", "T") + between, line) for line in lines[first:])
-            lines = [*(between + line for line in bare[:first]), *rows]
-        file, sample = io.StringIO("\n".join(lines)), lines[:SAMPLE]
-    separator, decimal, thousands, headings, width, first, findings = _layout(path, sample)
-    if labels and first < 2:
-        headings, findings = [*headings[: len(headings) - len(labels)], *labels], []
-
-    def too_wide(line: object, count: object) -> ValueError:
-        return ValueError(
-            f"{path}, line {line} has {count} values for {len(headings)} headings; allowed is one each: mend the "
-            "line; where all are so, put points into decimals, or semicolons between columns"
-        )
-
+    separator, decimal, headings, width, first, findings = _layout(path, sample)
     try:
         frame = pd.read_csv(
             file,
             sep=separator,
             decimal=decimal,
-            thousands=thousands,
             header=None,
             names=range(width),
             index_col=False,
@@ -149,22 +108,29 @@ def _read_text(path: Path, file: TextIO) -> Raw:
         frame = pd.DataFrame(columns=range(width), dtype=float)
     except pd.errors.ParserError as error:
         if found := re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error)):
-            raise too_wide(found[2], found[3]) from error
-        if found := re.search(r"inside string starting at row (\d+)", str(error)):
-            raise _open_quote(path, int(found[1]) + 1) from error
-        why = " ".join(str(error).split())
-        raise ValueError(f"{path}: {why}; allowed are short values: look for an open quote") from error
+            raise _too_wide(path, int(found[2]), int(found[3]), len(headings)) from error
+        found = re.search(r"inside string starting at row (\d+)", str(error))
+        raise _open_quote(path, int(found[1]) + 1 if found else first) from error
     frame.index = pd.RangeIndex(first + 1, first + 1 + len(frame))
-    for _, texts in frame.select_dtypes("str").items():
+    for column, texts in frame.select_dtypes("str").items():
         if (broken := texts.str.contains("[\r\n]")).any():
             raise _open_quote(path, int(broken.idxmax()))
+        if decimal == ",":
+            frame[column] = texts.str.replace(",", ".", regex=False)
     if frame[0].hasnans:
         frame = frame[~frame.isna().all(axis=1)]
-    beyond = frame.iloc[:, len(headings) :].notna()
-    if beyond.any(axis=None):
-        line = beyond.any(axis=1).idxmax()
-        raise too_wide(line, frame.loc[line].last_valid_index() + 1)
+    beyond = frame.iloc[:, len(headings) :].notna().any(axis=1)
+    if beyond.any():
+        line = int(beyond.idxmax())
+        raise _too_wide(path, line, frame.loc[line].last_valid_index() + 1, len(headings))
     return frame.iloc[:, : len(headings)].set_axis(headings, axis=1), findings
+
+
+def _too_wide(path: Path, line: int, count: int, headings: int) -> ValueError:
+    return ValueError(
+        f"{path}, line {line} has {count} values for {headings} headings; allowed is one each: mend the line; where "
+        "all are so, put points into decimals, or semicolons between columns"
+    )
 
 
 def _open_quote(path: Path, line: int) -> ValueError:
@@ -176,8 +142,6 @@ def _encoding(path: Path) -> str:
         begin = file.read(4096)
     if begin.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
-    if begin[1::2].count(0) > 0.4 * len(begin):
-        return "utf-16-le"
     if b"\0" in begin:
         raise ValueError(
             f"{path} is not text; allowed is a CSV file with a line of headings: export the log as CSV, or give the "
@@ -197,11 +161,8 @@ def _fields(line: str, separator: str) -> list[str]:
 
 
 def _is_value(text: str) -> bool:
-    """Tell whether a text is a number, with a point or a comma for decimals or with a unit, a date, or a lost value."""
-    measured = MEASURED.fullmatch(text)
-    number = (measured[1] if measured and measured[2].lower() in UNITS else text).translate(PLAIN).strip()
-    words = text.strip().lower() in LOST or DATE.fullmatch(text.strip())
-    return bool(NUMBER.fullmatch(number) or THOUSANDS.fullmatch(number) or words)
+    """Tell whether a text is a number, with a point or a comma for decimals, a date, or a lost value."""
+    return bool(NUMBER.fullmatch(text) or text.lower() in LOST or DATE.fullmatch(text))
 
 
 def _are_units(row: Sequence[str], above: Sequence[str]) -> bool:
@@ -240,44 +201,25 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
 
     words = (k for k, row in enumerate(rows) if not (holds_values(row) or (k and holds_values(rows[k - 1], True))))
     first = max(words, default=-1) + 1
-    if not first:  # what was cut off may stand above the headings
-        heads = (k for k, row in enumerate(rows[:5]) if _differ(row, common) and not any(map(_is_value, row)))
-        first = next(heads, -1) + 1
+    if not first:
+        raise ValueError(f"{path} has no line of headings; allowed is one above the values: write it, as time,angle,u")
     first = 1 if first == len(rows) else first  # no values at all
     again = (k for k, row in enumerate(rows[: first - 1]) if row == rows[first - 1] and holds_values(rows[k + 1], True))
     first = next(again, first - 1) + 1  # headings of a page, or of a logger that began anew, are those of the first
     decimal = "," if separator != "," and any(re.search(r"\d,\d", lines[k]) for k in filled[first:]) else "."
-    pointed = [text for row in rows[first:] for text in row if "." in text and _is_value(text.replace(".", ""))]
-    thousands = "." if decimal == "," and pointed and all(map(THOUSANDS.fullmatch, pointed)) else None
-    index = not rows[0][0]
-    numbered = rows[0][index:] == [str(k) for k in range(common - index)]  # of a program that knows no names
-    if not first or (first == 1 and numbered):
-        filled, rows = filled[numbered:], rows[numbered:]
-        width = max(map(len, rows))
-        count = width - all(len(row) < width or not row[-1] for row in rows)  # with a trailing separator
-        index &= numbered
-        names = [""] * index + ["time", *(f"x{k}" for k in range(1, count - 1 - index)), "u"][: count - index]
-        return _Layout(separator, decimal, thousands, names, width, filled[0], [note("log.no_headings", names=names)])
     split = separator == BLANKS
     head = [WORD.findall(lines[k]) if split and len(row) > common else row for k, row in zip(filled, rows[:first])]
     differ = [k for k, row in enumerate(head) if _differ(row, common) and not (k and _are_units(row, head[k - 1]))]
-    place = differ[-1] if differ and (differ[-1] or _differ(head[0], common)) else first - 1
+    place = differ[-1] if differ else first - 1
     headings = head[place]  # a line such as `Smp, Smp, Smp` is none of headings
-    if len(headings) == common - 1 and (split or lines[filled[-1]][0] == '"'):
-        named = all(row[-1] and (row[0].isdigit() or not NUMBER.fullmatch(row[0])) for row in lower)
-        own = "date" if DATE.fullmatch(lower[-1][0]) else ""  # of a heading over a day and a time of day
-        headings = [own, *headings] if named else headings  # rows have names, as numbers
-    labels = [bool(row and UNIT_LABEL.search(row[0])) for row in head]
-    head = [["", *row[1:], *[""] * (len(headings) - len(row))] if label else row for label, row in zip(labels, head)]
-    labelled = (row for label, row in zip(labels, head) if label)
-    others = (*reversed(head[place + 1 :]), *head[:place][-1:], *labelled)
+    others = (*reversed(head[place + 1 :]), *head[:place][-1:])
     units: Sequence[str] = next((row for row in others if _are_units(row, headings)), [])
     if units:
         bare = [re.sub(r"^[\[(]?-?[\])]?$|^[\[(]|[\])]$", "", unit) for unit in units]
         headings = [_with_unit(*pair) for pair in zip(headings, bare, strict=True)]
     above = [note("log.title_lines", count=filled[place])] if filled[place] else []
     last = filled[first] if first < len(filled) else filled[first - 1] + 1
-    return _Layout(separator, decimal, thousands, headings, max(width, len(headings)), last, above)
+    return _Layout(separator, decimal, headings, max(width, len(headings)), last, above)
 
 
 def _differ(row: Sequence[str], common: int) -> bool:

@@ -13,17 +13,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from dynasindy.data.files import MEASURED, PLAIN, read_file
-from dynasindy.data.headings import COMMAND, INPUT, UNITS, is_clock, named_by, plain_heading, split_unit
+from dynasindy.data.files import read_file
+from dynasindy.data.headings import is_clock, named_by, plain_heading, split_unit
 from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.sentences import setting
 from dynasindy.text import did_you_mean
 
 Array = NDArray[np.float64]
-DAY_FIRST = re.compile(r"\d{1,2}\.\d{1,2}\.\d{4}\b.*")
-"""A date as it is written with points, the day first: with slashes nobody could tell the day from the month."""
-THOUSANDS = r"[+-]?[1-9]\d{0,2}(?:,\d{2,3})*,\d{3}(?:\.\d*)?"
-"""A number whose commas part thousands, where all commas of a column do; Indian ones part hundreds of them, too."""
 DAY = 86400.0
 CODES = frozenset((999.0, 999.9, 9999.0, 9999.9, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0, 2.0**31, 2.0**31 - 1))
 HUGE = 1e30
@@ -38,7 +34,6 @@ FRACTION = re.compile(r"(?:.*[\W_])?(n|u|m|nano|micro|milli)(?:s|secs?|seconds?)
 """A heading of parts of a second, such as `nanosec`."""
 CLOCK_OF_ITS_OWN = re.compile(r"(?:(.+)[_ ./])?(?:timestamp|time|stamp|t)(?:[_ ./](.+))?", re.IGNORECASE)
 """A heading that is the time of the columns with the same beginning, such as `left_time` or `time_left`."""
-DATE_PARTS = ("year", "month", "day", "hour", "minute", "second")
 
 
 def correct_map() -> str:
@@ -169,11 +164,8 @@ def _read(path: Path, changed: int, size: int) -> Table:
     values, words, dated = np.empty((len(headings), len(raw))), dict[str, _Words](), set[str]()
     kept = list[int]()
     for k, heading in enumerate(headings):
-        cells, unit = _without_unit(raw.iloc[:, k])
-        if unit and not split_unit(heading)[1]:
-            heading = headings[k] = plain_heading(f"{heading} [{unit}]")
-        column, wrong, is_date = _numbers(cells)
-        if not is_date and (code := _lost_code(column, split_unit(heading)[0])) is not None:
+        column, wrong, is_date = _numbers(raw.iloc[:, k])
+        if not is_date and (code := _lost_code(column)) is not None:
             lost = column == code
             column, line = np.where(lost, np.nan, column), int(raw.index[lost.argmax()])
             findings.append(note("log.code", column=heading, value=code, count=int(lost.sum()), line=line))
@@ -189,11 +181,6 @@ def _read(path: Path, changed: int, size: int) -> Table:
             dated.add(heading)
         if heading:
             kept.append(k)
-    numbers = {k: headings.index(headings[k]) for k in kept if headings[k] not in words}
-    same = [k for k, first in numbers.items() if first < k and np.array_equal(values[first], values[k], equal_nan=True)]
-    if same:
-        findings.append(note("log.same_columns", columns=sorted({headings[k] for k in same})))
-    kept = [k for k in kept if k not in same]
     whole = values if len(kept) == len(values) else values[kept]
     frame = pd.DataFrame(whole.T, index=raw.index, columns=[headings[k] for k in kept], copy=False)
     table = Table(path, frame, words, frozenset(dated), tuple(findings))
@@ -227,33 +214,21 @@ def _with_signals_apart(raw: pd.DataFrame, findings: list[Finding]) -> tuple[pd.
     return wide.reset_index().set_axis(lines, axis=0), [*findings, note("log.long_format", signals=[*wide])]
 
 
-def _lost_code(column: Array, name: str) -> float | None:
-    """Return the number that stands for lost samples: far off all others, and a usual code, or one that comes again."""
+def _lost_code(column: Array) -> float | None:
+    """Return the number that stands for lost samples: far off all others, and a usual code."""
     finite = column[np.isfinite(column)]
     usual = np.median(finite[:: 1 + len(finite) // 1000]) if len(finite) else 0.0
     for end in (finite.min(), finite.max()) if len(finite) else ():
         if 2 * abs(end - usual) <= np.ptp(finite):  # not so far off
             continue
-        lost = finite == end
-        rest, times = finite[~lost], np.count_nonzero(np.diff(lost, prepend=False) & lost)
-        moves = end and (np.diff(rest) != 0).mean() > 0.5 and not (INPUT.fullmatch(name) or COMMAND.fullmatch(name))
-        again = moves and times >= 3 and lost.sum() < min(5 * times, 0.2 * len(lost))
-        if (again or abs(end) in CODES or abs(end) >= HUGE) and np.abs(rest - end).min() > np.ptp(rest):
+        rest = finite[finite != end]
+        if (abs(end) in CODES or abs(end) >= HUGE) and np.abs(rest - end).min() > np.ptp(rest):
             return float(end)
     return None
 
 
 def _with_whole_dates(table: Table) -> Table:
-    """Return a table in which a column of days and the one of the time of day, or parts of a date, are one of dates."""
-    parts = {part: h for h in table.headings for part in DATE_PARTS if len(h) > 2 and part.startswith(h.lower())}
-    timed = any(is_clock(heading) for heading in table.headings if heading not in parts.values())
-    if {*DATE_PARTS[:3]} <= {*parts} and not timed:
-        cells = table.frame[[*parts.values()]].set_axis([*parts], axis=1)
-        times = _since_1970(pd.to_datetime(cells, errors="coerce", utc=True))
-        dates = pd.concat(
-            [pd.Series(times, cells.index, name="time"), table.frame.drop(columns=[*parts.values()])], axis=1
-        )
-        return replace(table.edit(dates, {}), dated=table.dated | {"time"})
+    """Return a table in which a column of days and the one of the time of day are one of dates."""
     dated = {heading: table.column(heading) for heading in table.headings if heading in table.dated}
     days = [name for name, column in dated.items() if bool((np.mod(column, DAY) == 0).all()) and column.any()]
     clocks = [name for name, column in dated.items() if name not in days and bool((column < DAY).all())]
@@ -322,27 +297,12 @@ def counts(column: Array, step: float = 1.0) -> bool:
     return bool((np.diff(column[rows]) == step * np.diff(rows)).mean() > 0.9)
 
 
-def _without_unit(column: pd.Series) -> tuple[pd.Series, str]:
-    """Return cells without the unit behind their numbers, and this unit, where all that have one have the same."""
-    if column.dtype.kind in "biuf":
-        return column, ""
-    text = column.astype("string").str.strip()
-    units = text.str.extract(f"^{MEASURED.pattern}$")[1].dropna().unique()
-    unit = units[0] if len(units) == 1 and units[0].lower() in UNITS else ""
-    return text.str.removesuffix(unit).str.strip(), unit
-
-
-def _numbers(text: pd.Series) -> tuple[Array, _Words | None, bool]:
+def _numbers(cells: pd.Series) -> tuple[Array, _Words | None, bool]:
     """Return cells as numbers, the words in them, and whether these are dates, which become seconds."""
-    if text.dtype.kind in "biuf":
-        return text.to_numpy(dtype=np.float64), None, False
-    comma = text.str.contains(",", regex=False).fillna(False)
-    decimal = "" if comma.any() and text[comma].str.fullmatch(THOUSANDS).all() else "."
-    points = text.str.translate(PLAIN).str.replace(",", decimal, regex=False)
-    points = points.str.replace(r"(?<=\d) (?=\d{3}(?:\D|$))", "", regex=True)
-    points = points.str.replace(r"(?<=\d)[dD](?=[+-]?\d+$)", "e", regex=True)  # as Fortran writes
-    points = points.str.replace(r"^(?:\(([\d.]+)\)|([\d.]+)-|- +([\d.]\S*))$", r"-\1\2\3", regex=True)  # as bookkeepers
-    numbers = pd.to_numeric(points, errors="coerce").to_numpy(np.float64, na_value=np.nan)
+    if cells.dtype.kind in "biuf":
+        return cells.to_numpy(dtype=np.float64), None, False
+    text = cells.astype("string").str.strip()
+    numbers = pd.to_numeric(text, errors="coerce").to_numpy(np.float64, na_value=np.nan)
     switched = text.str.lower().map(SWITCHED)
     if np.isnan(numbers).all() and switched.notna().any() and switched.notna().eq(text.notna()).all():
         return switched.to_numpy(np.float64, na_value=np.nan), None, False
@@ -351,48 +311,30 @@ def _numbers(text: pd.Series) -> tuple[Array, _Words | None, bool]:
         return numbers, None, False
     first = str(worded.iloc[0])
     words = _Words(int(worded.index[0]), first[:40], len(worded))
-    may_be_date = np.isnan(numbers).all() and (DAY_FIRST.fullmatch(first) or not re.fullmatch(r"[\d.,]*", first))
-    if may_be_date and np.isfinite(_seconds(worded.iloc[[0]]))[0]:
-        dates = _seconds(text)
-        return dates, words, bool(np.isfinite(dates).any())
-    return numbers, words, False
+    dates = _seconds(text) if np.isnan(numbers).all() and re.search(r"[^\d.,]", first) else numbers
+    is_date = dates is not numbers and bool(np.isfinite(dates).any())
+    return dates if is_date else numbers, words, is_date
 
 
 def _seconds(text: pd.Series) -> Array:
-    """Return the seconds of dates, NaN of what is none."""
-    text = text.str.replace(",", ".", regex=False).str.replace(r"^\[|\]$|^T#|(?<=\d) ?[A-Z]{3,4}$", "", regex=True)
-    text = text.str.replace(r"(:\d\d:\d\d):(\d{1,6})$", r"\1.\2", regex=True)  # a colon before the milliseconds
+    """Return the seconds of dates, times of day and durations, NaN of what is none."""
     dates = _since_1970(pd.to_datetime(text, format="ISO8601", utc=True, errors="coerce"))
-    return dates if np.isfinite(dates).any() else _other_dates(text)
+    first = str(text.dropna().iloc[0])
+    if np.isfinite(dates).any() or not re.search(r"\d:\d\d|^\d+[-./]\d+[-./]\d+$|\d\s*(?:s|sec|ms|us|ns)$", first):
+        return dates
+    if re.search(r"\d\s*(?:s|sec|ms|us|ns)$|^(?:\d+ days? )?-?\d+:\d\d(?::\d\d)?(?:\.\d+)?$", first):
+        whole = text.str.replace(r"^(\d+:\d\d(?:\.\d+)?)$", r"00:\1", regex=True)
+        return _since_1970(pd.to_timedelta(whole, errors="coerce"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a form that pandas has to find for each row
+        dates = _since_1970(pd.to_datetime(text, dayfirst=bool(re.match(r"\d+\.", first)), utc=True, errors="coerce"))
+    return np.mod(dates, DAY) if re.fullmatch(r"[\d:.]+ ?[ap]m", first, re.IGNORECASE) else dates
 
 
 def _since_1970(times: pd.Series) -> Array:
     # In seconds, as nanoseconds do not reach all years.
     since = times if times.dtype.kind == "m" else times - pd.Timestamp(0, tz="UTC").as_unit("s")
     return np.asarray((since / pd.Timedelta(seconds=1)).to_numpy(dtype=np.float64, na_value=np.nan))
-
-
-def _other_dates(text: pd.Series) -> Array:
-    """Return the seconds of times of day, durations and other dates; NaN of none, or where a day may be a month."""
-    first = str(text.dropna().iloc[0])
-    if re.search(r"\d\s*(?:s|sec|ms|us|ns)$|^(?:\d+ days? )?-?\d+:\d\d(?::\d\d)?(?:\.\d+)?$", first):
-        whole = text.str.replace(r"^(\d+:\d\d(?:\.\d+)?)$", r"00:\1", regex=True)
-        return _since_1970(pd.to_timedelta(whole, errors="coerce"))
-    if not re.search(r"\d:\d\d|^\d+[-./]\d+[-./]\d+$", first):
-        return np.full(len(text), np.nan)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a form that pandas has to find for each row
-        months, days = (
-            _since_1970(pd.to_datetime(text, dayfirst=day, utc=True, errors="coerce")) for day in (False, True)
-        )
-    lost = np.isnan(months).sum() - np.isnan(days).sum()
-    steps = [np.abs(np.diff(each)) for each in (months, days)]
-    if not lost and np.isfinite(steps[0]).any() and np.nanmedian(steps[0]) == np.nanmedian(steps[1]):
-        lost = np.nanmax(steps[0]) - np.nanmax(steps[1])  # at midnight a day goes by, and not a month
-    if not (lost or DAY_FIRST.match(first) or np.array_equal(steps[0], steps[1], equal_nan=True)):
-        return np.full(len(text), np.nan)
-    found = months if lost < 0 else days
-    return np.mod(found, DAY) if re.fullmatch(r"[\d:.]+ ?[ap]m", first, re.IGNORECASE) else found
 
 
 def _find(path: Path, name: str, headings: Sequence[str]) -> int:

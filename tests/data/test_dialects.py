@@ -1,7 +1,6 @@
 """Logs as other programs and other countries write them hold the numbers of the plant, or say what they lack."""
 
 import json
-import re
 
 import numpy as np
 import pandas as pd
@@ -66,34 +65,6 @@ def test_a_unit_stands_behind_a_word_too(tmp_path):
     assert (signature.input_names, signature.input_units) == (("u",), ("V",))
 
 
-def _grouped(mark, decimal):
-    def text(value):
-        return f"{value:,.2f}".replace(".", "d").replace(",", mark).replace("d", decimal)
-
-    return text
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        _grouped("'", "."),
-        _grouped("\u202f", ","),
-        _grouped(".", ","),
-        lambda value: f"{value:.4f}".replace("-", "\u2212"),
-        lambda value: f"{value:.8E}".replace("E", "D"),
-        lambda value: f"'{value:.4f}'",
-    ],
-)
-def test_numbers_have_the_signs_of_many_countries_and_programs(tmp_path, text):
-    columns = [[text(v) for v in column] for column in (1e5 * T, 1e5 * ANGLE, 1e5 * RATE)]
-    levels = [text(v) for v in COMMAND]
-    states = {name: {"name": name, "scale": 1e-5} for name in ("angle", "rate")}
-    written = table(["time [us]", "angle", "rate", "u"], *columns, levels, separator=";")
-    found = recording(tmp_path / "l.csv", written, states=states)
-    assert found.transitions.dt == pytest.approx(1e-3)
-    assert found.transitions.x.numpy() == pytest.approx(np.stack([ANGLE, RATE], -1)[:-1], abs=1e-6)
-
-
 @pytest.mark.parametrize(
     "form",
     [
@@ -103,9 +74,6 @@ def test_numbers_have_the_signs_of_many_countries_and_programs(tmp_path, text):
         "%d.%m.%y %H:%M:%S,%f",
         "%H:%M:%S.%f",
         "%H:%M:%S,%f",
-        "%H:%M:%S:%f",
-        "[%Y-%m-%d %H:%M:%S.%f]",
-        "%Y-%m-%d %H:%M:%S.%f CEST",
     ],
 )
 def test_dates_and_times_of_day_tell_the_time_between_rows(tmp_path, form):
@@ -115,12 +83,6 @@ def test_dates_and_times_of_day_tell_the_time_between_rows(tmp_path, form):
             tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND, separator=";")
         )
     )
-
-
-@pytest.mark.parametrize("form", ["%d/%m/%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S.%f"])
-def test_a_midnight_tells_the_day_from_the_month(tmp_path, form):
-    stamps = [(time.replace(month=3, day=4) + pd.Timedelta(hours=11.9996)).strftime(form) for time in TIMES]
-    require_truth(recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND)))
 
 
 @pytest.mark.parametrize("first", [45443.5, 739403.5])
@@ -261,12 +223,6 @@ def test_words_in_many_cells_of_a_column_are_a_warning(tmp_path):
         assert [each.severity for each in found.findings if each.code == "log.words"] == [severity]
 
 
-def test_commas_part_hundreds_of_thousands_as_well(tmp_path):
-    cells = [re.sub(r"(?<=\d)(?=(?:\d\d)*\d{3}\.)", ",", f"{1e6 * x:.2f}") for x in ANGLE]  # 12,34,567.00
-    text = table(["time", "way", "rate", "u"], T, [f'"{cell}"' for cell in cells], RATE, COMMAND)
-    assert recording(tmp_path / "l.csv", text).transitions.x[:, 0].numpy() == pytest.approx(1e6 * ANGLE[:-1], abs=0.01)
-
-
 def test_a_date_of_any_year_is_one(tmp_path):
     for year in (1, 2024, 9998):
         stamps = [f"{year:04d}-05-31 12:00:{x:09.6f}" for x in T]
@@ -278,38 +234,6 @@ def test_states_that_are_nearly_multiples_of_each_other_stay(tmp_path):
     twist = 1e-3 * np.cos(9 * T)
     text = table(["time", "motor", "load", "u"], T, ANGLE, ANGLE + twist, COMMAND)
     assert recording(tmp_path / "l.csv", text).signature.state_names == ("motor", "load")
-
-
-def test_a_unit_in_each_cell_is_that_of_the_column(tmp_path):
-    forms, columns = (
-        ("{:.2f} s", "{:.6f}\u00b0", "{:.6f} rad/s", "{:.4f}%"),
-        (T, np.degrees(ANGLE), RATE, 100 * COMMAND),
-    )
-    cells = [[form.format(v) for v in column] for form, column in zip(forms, columns, strict=True)]
-    text = table(["time", "angle", "rate", "u"], *cells)
-    found = recording(tmp_path / "l.csv", text, inputs={"u": {"name": "u", "low": -100, "high": 100}})
-    require_truth(found)
-    assert found.signature.state_units == ("rad", "rad/s") and found.signature.input_units == ("%",)
-
-
-def test_a_prefix_behind_a_number_is_no_unit(tmp_path):
-    text = table(["time", "angle", "rate", "i [A]", "u"], T, ANGLE, RATE, [f"{1000 * v:.1f}m" for v in RATE], COMMAND)
-    found = recording(tmp_path / "l.csv", text)
-    require_truth(found)
-    assert left_out(found) == {"words": ["i"]}
-
-
-def test_a_blank_parts_thousands(tmp_path):
-    angle = [f"{1e4 * v:,.2f}".replace(",", " ") for v in ANGLE]
-    text = table(["time", "angle", "rate", "u"], T, angle, RATE, COMMAND)
-    require_truth(
-        recording(tmp_path / "l.csv", text, states={"angle": {"name": "angle", "scale": 1e-4}, "rate": "rate"})
-    )
-
-
-def test_a_line_that_was_cut_off_above_the_headings_is_none_of_values(tmp_path):
-    text = "0.12,-0.25\n" + table(["time", "angle", "rate", "u"], T, ANGLE, RATE, COMMAND)
-    require_truth(recording(tmp_path / "l.csv", text))
 
 
 @pytest.mark.parametrize(
@@ -497,49 +421,6 @@ def test_a_state_that_an_exact_feedback_was_made_of_stays_one(tmp_path, referenc
     )
     found = LoggedData(str(path)).recording()
     assert (found.signature.state_names, found.signature.input_names) == (("place", "speed"), ("u",))
-
-
-@pytest.mark.parametrize("stamp", ["12:00:{:06.3f} -> ", "[2024-05-31 12:00:{:06.3f}] "])
-@pytest.mark.parametrize("separator", [",", "\t", " "])
-@pytest.mark.parametrize("own", [False, True])
-def test_what_a_terminal_sets_before_each_line_is_the_time_unless_the_device_has_its_own(
-    tmp_path, stamp, separator, own
-):
-    head, *rows = table(
-        [*["t_ms"] * own, "angle", "rate", "u"], *[1000 * T] * own, ANGLE, RATE, COMMAND, separator=separator
-    ).splitlines()
-    late = T + 0.003 * own * (np.arange(ROWS) % 3)
-    lines = [stamp.format(0) + "ready", stamp.format(0) + head]
-    lines += [stamp.format(t) + row for t, row in zip(late, rows, strict=True)]
-    require_truth(recording(tmp_path / "l.txt", "\n".join(lines)))
-
-
-@pytest.mark.parametrize("form", ["angle:{:.6f},rate:{:.6f},u:{:.6f}", "angle = {:.6f} rate = {:.6f} u = {:.6f}"])
-def test_names_before_each_value_are_headings(tmp_path, form):
-    rows = [f"t={t:.2f} " + form.format(*row) for t, *row in zip(T, ANGLE, RATE, COMMAND, strict=True)]
-    require_truth(recording(tmp_path / "l.txt", "\n".join(row.replace(" ", "," * ("," in row) or " ") for row in rows)))
-    rows = [f"12:00:{t:06.3f} -> " + form.format(*row) for t, *row in zip(T, ANGLE, RATE, COMMAND, strict=True)]
-    require_truth(recording(tmp_path / "l.txt", "\n".join(rows)))
-
-
-def test_a_day_and_a_time_of_day_have_one_heading(tmp_path):
-    head, *rows = table(["time", "angle", "rate", "u"], T, ANGLE, RATE, COMMAND, separator=" ").splitlines()
-    apart = [2 * (k > 150) for k in range(ROWS)]  # days
-    stamps = [
-        (START + pd.Timedelta(days=d, milliseconds=10 * k)).isoformat(" ", "milliseconds") for k, d in enumerate(apart)
-    ]
-    lines = [f"{stamp} {row.partition(' ')[2]}" for stamp, row in zip(stamps, rows, strict=True)]
-    found = recording(tmp_path / "l.txt", "\n".join([head, *lines]))
-    assert len(found.transitions) == ROWS - 2 and found.transitions.segment.unique().tolist() == [0, 1]
-
-
-def test_rows_may_have_names_without_a_heading(tmp_path):
-    frame = pd.DataFrame({"time": T, "angle": ANGLE.round(6), "rate": RATE.round(6), "u": COMMAND})
-    for separator in (" ", ","):  # as of write.table
-        head, *rows = table([*frame], *frame.to_numpy().T, separator=separator).splitlines()
-        named = [f'"{k + 1}"{separator}{row}' for k, row in enumerate(rows)]
-        require_truth(recording(tmp_path / "l.txt", "\n".join([head, *named])))
-    require_truth(recording(tmp_path / "l.txt", frame.to_string()))
 
 
 @pytest.mark.parametrize(("name", "scale"), [("s", 1), ("T", 1), ("ms", 1000), ("h", 1 / 3600), ("min", 1 / 60)])

@@ -211,39 +211,13 @@ def test_a_clock_that_was_set_back_is_refused(tmp_path):
     assert error.value.finding.code == "log.time_order"
 
 
-@pytest.mark.parametrize("text", ["({:.4f})", "{:.4f}-", "- {:.4f}"])
-def test_a_minus_stands_where_others_write_it(tmp_path, text):
-    cells = [f"{v:.4f}" if v >= 0 else text.format(-v) for v in RATE]
-    rows = (f"{t:.2f},{a:.6f},{r},{u:.4f}" for t, a, r, u in zip(T, ANGLE, cells, COMMAND, strict=True))
-    (tmp_path / "l.csv").write_text("\n".join(["time,angle,rate,u", *rows]))
-    found = LoggedData(str(tmp_path / "l.csv")).recording()
-    _require_truth(found)
-    assert found.transitions.x[:, 1].numpy() == pytest.approx(RATE[:-1], abs=1e-4)
-
-
-def test_a_number_far_off_that_comes_again_and_again_is_a_lost_sample(tmp_path):
-    angle = np.where(np.arange(ROWS) % 41 > 38, -20.0, ANGLE)
-    found = recording(tmp_path / "l.csv", "time,angle,rate,u", T, angle, RATE, COMMAND)
-    _require_truth(found)
-    assert found.transitions.x[:, 0].isnan().sum() == (angle[:-1] == -20).sum()
-
-
-def test_words_of_a_switch_are_an_input_and_a_label_in_the_line_of_units_is_no_unit(tmp_path):
+def test_words_of_a_switch_are_an_input(tmp_path):
     on = COMMAND > 0
     rows = (f"{t:.2f};{a:.6f};{r:.6f};{'ON' if u else 'OFF'}" for t, a, r, u in zip(T, ANGLE, RATE, on, strict=True))
-    above = ["Unit;mm;mm/s;", "Rate;100", "time;angle;rate;u"]
-    (tmp_path / "l.csv").write_text("\n".join([*above, *rows]))
+    (tmp_path / "l.csv").write_text("\n".join(["time;angle;rate;u", *rows]))
     found = LoggedData(str(tmp_path / "l.csv")).recording()
     _require_truth(found)
-    assert found.signature.state_units == ("mm", "mm/s")
     assert found.transitions.u[:, 0].tolist() == on[:-1].tolist()
-
-
-@pytest.mark.parametrize("index", [False, True])
-def test_places_in_the_stead_of_names_are_no_row(tmp_path, index):
-    columns = ([np.arange(ROWS)] if index else []) + [T, ANGLE, RATE, COMMAND]
-    found = recording(tmp_path / "l.csv", "," * index + "0,1,2,3", *columns)
-    assert (found.signature.state_names, len(found.transitions)) == (("x1", "x2"), ROWS - 1)
 
 
 def test_rows_as_signals_are_refused_as_such(tmp_path):
@@ -251,19 +225,6 @@ def test_rows_as_signals_are_refused_as_such(tmp_path):
     (tmp_path / "l.csv").write_text("\n".join(rows))
     with pytest.raises(ValueError, match="exchange rows and columns"):
         LoggedData(str(tmp_path / "l.csv")).recording()
-
-
-def test_text_of_two_bytes_a_letter_needs_no_mark(tmp_path):
-    rows = (",".join(map(str, row)) for row in zip(T, ANGLE, RATE, COMMAND, strict=True))
-    (tmp_path / "l.csv").write_bytes("\n".join(["time,angle,rate,u", *rows]).encode("utf-16-le"))
-    _require_truth(LoggedData(str(tmp_path / "l.csv")).recording())
-
-
-def test_the_parts_of_a_date_are_one_time(tmp_path):
-    seconds = np.round(59 + T, 4)
-    parts = (np.full(ROWS, 2025), np.full(ROWS, 3), np.full(ROWS, 14), np.full(ROWS, 9), seconds // 60, seconds % 60)
-    found = recording(tmp_path / "l.csv", "Year,Month,Day,Hour,Min,Sec,angle,rate,u", *parts, ANGLE, RATE, COMMAND)
-    _require_truth(found)
 
 
 def test_commands_between_two_samples_and_sensors_that_take_turns_leave_the_period_of_the_samples(tmp_path):
@@ -351,9 +312,3 @@ def test_seconds_of_a_short_log_are_no_parts_of_a_day(tmp_path, rate):
     rows = np.arange(3, 120)
     found = recording(tmp_path / "l.csv", "time,angle,u", rows / rate, ANGLE[rows], COMMAND[rows])
     assert found.transitions.dt == pytest.approx(1 / rate)
-
-
-def test_a_date_beside_the_time_is_left_to_itself(tmp_path):
-    date = [np.full(ROWS, float(part)) for part in (2024, 5, 31)]
-    found = recording(tmp_path / "l.csv", "time,angle,u,year,month,day", T, ANGLE, COMMAND, *date)
-    assert found.transitions.dt == pytest.approx(0.01) and found.signature.state_names == ("angle",)

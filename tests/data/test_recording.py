@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-import dynasindy
 from dynasindy.data.columns import Column, infer
 from dynasindy.data.recording import LogReader
 from dynasindy.findings import Finding, LogError, note
@@ -162,15 +161,6 @@ def test_the_encodings_of_spreadsheets_are_read(tmp_path, encoding):
     path.write_text(path.read_text(), encoding=encoding)
     data = LogReader(str(path), STATES, INPUTS).recording().transitions
     assert data.x[:, 0].numpy() == pytest.approx(np.radians(log()[:-1, 1]))
-
-
-@pytest.mark.parametrize(("heading", "told"), [("угол", ["угол"]), ("angle [°]", [])])
-def test_letters_of_another_encoding_are_told(tmp_path, heading, told):
-    path = Path(write(tmp_path / "log.csv", log(), ("time", heading, "rate", "volt")))
-    path.write_text(path.read_text(), encoding="cp1251")
-    findings = [each for each in dynasindy.read(path, inputs=["volt"]).findings if each.code == "log.encoding"]
-    found = [name.encode("cp1252").decode("cp1251") for each in findings for name in each.values["columns"]]
-    assert found == told
 
 
 def test_inputs_and_rates_are_scaled_by_their_own_factors(tmp_path):
