@@ -432,7 +432,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         f"time is the column {column}, {'read as dates' if dates else f'in {unit}' if unit else 'taken as seconds'}"
         + f": {dt:.4g} s between rows" * bool(dt)
     ),
-    "log.coarse_clock": "{column} moves in ticks of {tick:.4g} s, and rows are taken as even, {dt:.6g} s apart",
+    "log.coarse_clock": "the ticks of {column} are coarse, and rows are taken as even, {dt:.6g} s apart",
     "log.overflow": "the time counts to {size:g} and goes on from 0 in line {lines:list}",
     "log.sorted": "the time goes back {count:once|# times}, first in line {line}; the rows were put in its order",
     "log.restart": "the time begins anew in line {lines:list}, and so does a recording",
@@ -514,8 +514,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.time_order": "line {line}, column {column}: {after:.12g} s follows {before:.12g} s; allowed is increasing "
     "time: sort the rows or split the recordings, or give <data.dt> if the clock is coarser than the rows",
     "log.time_unit": "the time column {column!r} is in {unit!r}; allowed units are {units:list}, or none for s",
-    "log.coarse_time": "time moves in ticks of {tick:.6g} s, {low:g} or {high:g} of them from row to row, which does "
-    "not tell the sampling time: write it with more digits, or give the time between two rows in seconds as <data.dt>",
+    "log.coarse_time": "time moves in ticks of {tick:g} s, one or more from row to row, which does not tell the "
+    "sampling time: write it with more digits, or give the time between two rows in seconds as <data.dt>",
     "log.no_time_unit": lambda column, step: (
         f"numbers without a unit stand in the time column {column}, {step:g} from row to row, hardly seconds: give "
         f"their unit, as in {_named_unit(column, 'us')}, or [s] for seconds, or [ms], or write dates, such as "

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +14,6 @@ from dynasindy.findings import Finding, LogError, note, weak
 Array = NDArray[np.float64]
 CLOCK = "time"
 """Heading of the time where no other is given; `Time` or `t` is taken where the file has none."""
-MOSTLY = 0.9
-"""Part of the steps that are one of two neighbouring numbers of ticks where an even clock was rounded to ticks."""
 LATE = 10
 """Usual steps within which a counter goes on after its overflow."""
 YEARS = (1.26e9, 2.21e9)
@@ -28,8 +25,6 @@ EPOCHS = {
 }
 """Seconds from the beginnings of calendars to 1970, by the unit of their times: files and programs of Windows count in
 100 ns, spreadsheets, MATLAB and astronomers in days."""
-LONGEST_PART = 1 / 287
-"""Parts of a day from row to row, five minutes, beyond which times are those of a second: 144 Hz are ten minutes."""
 OVERFLOWS = (2.0**8, 1e3, 2.0**16, 1e6, 2.0**24, 1e9, 2.0**32)
 """Sizes of counters, which begin anew there, also of parts of a second."""
 FEWEST = 10
@@ -63,114 +58,28 @@ def is_counter(column: Array) -> bool:
     return len(column) > 1 and bool((np.diff(column) > 0).all() and (column == column.round()).all())
 
 
-def _possible_ticks(column: Array, unit: float) -> Iterator[tuple[float, Array, int, float]]:
-    """Yield the ticks [s] of which all stamps may be multiples, the likelier first; none of stamps with all digits."""
-    # Beside them stand the stamps [ticks], of how many last digits a tick is, 0 of no whole number, and the rounding.
-    largest = np.abs(column).max()
-    noise, single = 4 * float(np.spacing(largest)), column.astype(np.float32)
-    places = (k for k in range(10) if np.abs(column - (column * 10**k).round() / 10**k).max() <= noise)
-    digit, coarse = next((10.0**-k for k in places), 0.0), float(np.spacing(np.float32(largest)))
-    shortest = single[:1000].astype(str).astype(np.float64)  # of single precision, in full or in the fewest digits
-    if digit < coarse and ((column[:1000] == single[:1000]) | (column[:1000] == shortest)).all():
-        column, digit = single.astype(np.float64), coarse
-    steps = (np.diff(column) / max(digit, noise)).round().astype(np.int64)
-    if digit <= noise or not (divisor := int(np.gcd.reduce(steps))):
-        return
-    tick = digit * divisor
-    at, slack, steps = (column - column[0]) / tick, 2 * noise / tick, steps // divisor
-    yield tick * unit, at, divisor, slack
-    # A tick of some digits that is rounded to whole ones makes steps such as 15, 16, 31 and 32 ms.
-    sizes = np.sort(steps[(steps > 0) & (steps <= 3 * np.median(steps))])
-    groups = np.split(sizes, np.flatnonzero(np.diff(sizes) > 1) + 1)
-    if len(groups) > 1 and all(group[-1] - group[0] <= 1 for group in groups):
-        means = np.array([group.mean() for group in groups])
-        ratio = float(np.diff(means).min())
-        if ratio > 2 and np.abs(means / ratio - (means / ratio).round()).max() < 0.15:
-            yield tick * ratio * unit, at / ratio, 0, (2 + slack) / ratio
+def _even_rows(path: str, t: Array, dt: float | None) -> Array | None:
+    """Return the times of even rows that a clock of coarse ticks wrote [s], `(rows,)`; None of any other clock.
 
-
-def _numbered(at: Array, period: float, within: float) -> tuple[Array, int]:
-    """Return numbers of rows on an even clock, stamps in a strip [ticks], and how often it was set anew."""
-    # A row that comes later than its number says is behind rows that were lost.
-    low = high = 0.0
-    number, anew, numbers = -1, 0, list[int]()
-    for stamp in at.tolist():
-        number += 1
-        number += max(0, math.ceil((stamp - period * number - low - within) / period))
-        off = stamp - period * number
-        if off < high - within:
-            anew, low, high = anew + 1, off, off
-        low, high = min(low, off), max(high, off)
-        numbers.append(number)
-    return np.array(numbers, dtype=np.float64), anew
-
-
-def _possible_periods(at: Array, low: float, starts: NDArray[np.int64], within: float) -> list[float]:
-    """Return the shortest and the longest period [ticks] of an even clock that gives such stamps; empty of none."""
-    # From each start on stamps stay in a strip of their own about even times. Two that leave it bound the period,
-    # which is moved there until none does.
-    found = list[float]()
-    for period, way in ((low, 1), (low + 1.0, -1)):
-        while True:
-            off = at - period * np.arange(len(at))
-            widths = np.maximum.reduceat(off, starts) - np.minimum.reduceat(off, starts)
-            widest = int(widths.argmax())
-            part = off[slice(*np.append(starts, len(at))[widest : widest + 2])]
-            apart, beyond = int(part.argmax()) - int(part.argmin()), float(widths[widest]) - within
-            if beyond <= 1e-9 + 4 * np.spacing(at[-1]):
-                break
-            if apart * way <= 0:
-                return []
-            period += beyond / apart
-        found.append(period)
-    return found
-
-
-def _fit_even_clock(path: str, column: Array, unit: float, dt: float | None) -> tuple[Array, float, float] | None:
-    """Return times of an even clock, its period and its tick [s] if it can have given such stamps, else None."""
-    # Rounded to ticks, it writes steps of two neighbouring numbers of ticks, and t_k - k dt stays within one tick: any
-    # two stamps bound dt. Times without that rhythm, of a clock that is late now and then, stay as they are.
-    for tick, at, digits, slack in _possible_ticks(column, unit):
-        steps, rows = np.diff(at).round(), len(at)
-        sizes, counts = np.unique(steps, return_counts=True)
-        pairs = counts + np.append(np.where(np.diff(sizes) == 1, counts[1:], 0), 0)
-        low = float(sizes[pairs.argmax()])
-        within = (1 + 1e-6 if low < 2 else 1.2) + slack  # wider where no lost row can look like a tick
-        if dt is not None:
-            period = dt / tick
-            if abs(period - round(period)) * rows < 0.5 or not low <= period <= low + 1:  # even times are ticks
-                continue
-            numbers, anew = _numbered(at, period, within)
-            if anew <= (1 - MOSTLY) * rows:
-                return dt * numbers, dt, tick
-            continue
-        few, many = steps == low, steps == low + 1
-        odd = np.flatnonzero(few if few.sum() < many.sum() else many)
-        if len(odd) < (3 if low < 2 else 1):  # fewer may be lost or doubled rows, and no rhythm
-            continue
-        inside, between = few | many, np.diff(odd)
-        starts = np.append(0, np.flatnonzero(~inside) + 1)
-        found = _possible_periods(at, low, starts, within) if inside.mean() >= MOSTLY else []
-        # A log may lose a tenth of its rows at random; where more steps are odd, or at even distances, a coarse clock
-        # is as likely.
-        rhythm = len(odd) > FEWEST and between.std() < 0.5 * between.mean()
-        if not found and not (low == 1 and digits < 2 and (rhythm or len(odd) > 0.1 * rows)):
-            continue
-        if not found or found[1] - found[0] > 0.005 * sum(found) or (low == 1 and digits != 1):
-            raise LogError("log.coarse_time", file=path, tick=tick, low=low, high=low + 1)
-        period = _round_between(found[0] * tick, found[1] * tick)
-        return period * _numbered(at, period / tick, within)[0], period, tick
+    Its steps are of two neighbouring numbers of ticks, and its stamps lie within a tick of a straight line.
+    """
+    steps, rows = np.diff(t), np.arange(len(t))
+    low, usual, high = float(steps.min()), float(np.median(steps)), float(steps.max())
+    long = steps > 0.5 * (low + high)
+    if high - low > 0.02 * usual and (np.abs(steps - np.where(long, high, low)) <= 0.1 * (high - low)).all():
+        tick = float(steps[long].mean() - steps[~long].mean())
+        count, off = divmod(float(steps[~long].mean()) / tick + 0.5, 1)
+        period = dt or float(f"{np.polyfit(rows, t - t[0], 1)[0]:.6g}")
+        enough = min(long.sum(), (~long).sum()) >= (3 if count < 2 else 1)  # a few may be lost rows
+        if enough and abs(off - 0.5) < 0.2 and np.ptp(t - period * rows) <= 1.1 * tick:
+            return np.asarray(period * rows)
+    digit = next((10.0**-k for k in range(7) if np.abs(t - t.round(k)).max() < 1e-3 * 10.0**-k), 0.0)
+    if digit > 0.75 * usual and (steps > usual + 0.5 * digit).mean() > 0.1:  # rows may be lost, or short of a tick
+        if dt is None:
+            raise LogError("log.coarse_time", file=path, tick=digit)
+        first = dt * np.angle(np.exp(2j * np.pi * t / dt).mean()) / (2 * np.pi)
+        return np.asarray(dt * np.round((t - first) / dt))
     return None
-
-
-def _round_between(low: float, high: float) -> float:
-    """Return the number of seconds, or the inverse of one of hertz, of the fewest digits between two times."""
-    middle = 0.5 * (low + high)
-    for digits in range(1, 12):
-        for value in (float(f"{middle:.{digits}g}"), 1 / float(f"{1 / middle:.{digits}g}")):
-            if low <= value <= high:
-                return value
-    return middle
 
 
 def period_of(t: Array) -> float:
@@ -186,7 +95,6 @@ def date_unit(values: Array) -> str:
     """Return the unit of times that can only be dates, as their size tells; empty for other times.
 
     They are of the years from 2010 to 2040, and days are told from seconds by rows that would be less than 1 ms apart.
-    A part of a day, as spreadsheets write the time of day, has a period that is round in seconds of the day alone.
 
     Args:
         values: Time of each row, `(rows,)`.
@@ -198,14 +106,7 @@ def date_unit(values: Array) -> str:
         first, last = (np.add(epochs, seconds) / SECONDS[unit] for seconds in YEARS)
         if ((first <= low) & (high < last)).any() and (unit != "d" or 0 < high - low < 1e-3 * len(values)):
             return unit
-    step = float(np.nanmedian(np.diff(values)))
-    told = low > 0.01 and high < 1 and 0 < step <= LONGEST_PART and _has_digits(DAY * step, 3)
-    return "d" if told and not (_has_digits(step, 3) or _has_digits(1 / step, 2)) else ""
-
-
-def _has_digits(value: float, digits: int) -> bool:
-    """Tell whether so many digits say all of a number."""
-    return abs(float(f"{value:.{digits - 1}e}") / value - 1) < 1e-4
+    return ""
 
 
 def _unwrap_counter(values: Array, table: Table, unit: float, dt: float | None) -> tuple[Array, list[Finding]]:
@@ -256,12 +157,9 @@ def in_seconds(table: Table, unit: str, dt: float | None) -> tuple[Array, list[F
     since = len(values) and values[0] > 3e10  # of a time since any date
     if (counts and period >= 1000) or (since and not unit and not table.dated):  # hardly s
         raise LogError("log.no_time_unit", file=str(table.path), column=heading, step=period)
-    if (
-        len(t) > 2
-        and (np.diff(t) >= 0).all()
-        and (found := _fit_even_clock(str(table.path), values, seconds, dt)) is not None
-    ):
-        t, period, tick = found
-        said = [note("log.coarse_clock", column=name, tick=tick, dt=period)]
+    even = _even_rows(str(table.path), t, dt) if len(t) > 2 and (np.diff(t) >= 0).all() else None
+    if even is not None:
+        t, period = even, period_of(even)
+        said = [note("log.coarse_clock", column=name, dt=period)]
     said += [weak("log.whole_seconds", column=name)] if counts else []
     return t, [note("log.time", column=name, unit=unit, dates=bool(table.dated), dt=period), *said, *again]

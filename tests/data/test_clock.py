@@ -8,7 +8,7 @@ from scipy.signal import cont2discrete
 
 import dynasindy
 from dynasindy.data.clock import clock_of
-from dynasindy.findings import FindingError, note, weak
+from dynasindy.findings import note, weak
 from dynasindy.identification.identify import LoggedData
 from dynasindy.sindy import Refinement, Regression, SindyModel
 
@@ -129,7 +129,6 @@ def ticks_of_windows(t):
         *((hertz, 3.0, decimals(2), "time") for hertz in (80, 33.3, 160)),
         (85, 0.0, lambda t: f"{math.floor(100 * t) / 100:.2f}", "time"),
         (333, 0.0, lambda t: str(int(1000 * t)), "t_ms"),
-        (90, 1e5, lambda t: str(np.float32(t)), "time"),
         (110, 9.5e4, lambda t: repr(float(np.float32(t))), "time"),
         (80, 1.7e9, decimals(2), "time [s]"),
         (20, 0.0, ticks_of_windows, "time"),
@@ -143,9 +142,8 @@ def test_an_even_log_in_coarse_stamps_tells_its_rate_and_its_equations(tmp_path,
 
 
 @pytest.mark.parametrize("lost", [0.005, 0.2])
-@pytest.mark.parametrize(("hertz", "stamp"), [(80, decimals(2)), (50, ticks_of_windows)])
-def test_lost_rows_of_a_coarse_clock_need_the_sampling_time_and_are_gaps_then(tmp_path, hertz, stamp, lost):
-    times = even(hertz, rows=1000)
+def test_lost_rows_of_a_coarse_clock_need_the_sampling_time_and_are_gaps_then(tmp_path, lost):
+    times, stamp, hertz = even(80, rows=1000), decimals(2), 80
     rows = sorted(np.random.default_rng(2).choice(1000, round(1000 * (1 - lost)), replace=False))
     with pytest.raises(ValueError, match="dt"):
         logged(tmp_path / "log.csv", times, stamp, rows=rows)
@@ -179,17 +177,3 @@ def test_a_doubled_row_is_left_out_and_equal_stamps_of_a_coarse_clock_are_not(tm
     assert copies.values == {"count": 1, "line": 203}
     log = logged(tmp_path / "log.csv", even(250), decimals(2))
     assert log.training.dt == pytest.approx(0.004, rel=1e-3) and fitted(log)["u"] == pytest.approx(5.0, rel=0.01)
-
-
-@pytest.mark.parametrize(("burst", "sure"), [(12, False), (40, True)])
-def test_a_coarse_clock_is_believed_where_its_stamps_leave_its_period_within_a_percent(tmp_path, burst, sure):
-    """Of 2.6 ticks each; bursts that begin anywhere in a tick bound it to less than a tick over their rows."""
-    ticks = [math.floor(2.6 * (k % burst) + 0.37 * (k // burst)) + 3 * burst * (k // burst) for k in range(240)]
-    log = LoggedData(written(tmp_path / "log.csv", "time", [f"{tick / 100:.2f}" for tick in ticks]))
-    if sure:
-        assert log.recording().transitions.dt == pytest.approx(0.026)
-    else:
-        with pytest.raises(FindingError) as told:
-            log.recording()
-        assert told.value.finding.code == "log.coarse_time"
-        assert [told.value.finding.values[name] for name in ("tick", "low", "high")] == [0.01, 2, 3]

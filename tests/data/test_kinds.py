@@ -175,15 +175,6 @@ def test_a_time_is_known_by_numbers_that_only_a_date_can_be(tmp_path, heading, e
     assert found.transitions.dt == pytest.approx(0.6, rel=1e-2) and found.signature.state_names == ("angle", "rate")
 
 
-@pytest.mark.parametrize(("seconds", "unit"), [(1.0, "d"), (86400 / 48000, "")])
-def test_a_part_of_a_day_is_told_from_seconds_by_its_period(tmp_path, seconds, unit):
-    stamps = np.round(0.39 + seconds * np.arange(ROWS) / 86400, 10)
-    found = recording(tmp_path / "l.csv", "Time,angle,rate,u", stamps, ANGLE, RATE, COMMAND)
-    (told,) = [each for each in found.findings if each.code == "log.time"]
-    assert told.values["unit"] == unit
-    assert found.transitions.dt == pytest.approx(seconds if unit else seconds / 86400, rel=1e-3)
-
-
 def test_a_counter_of_ticks_that_overflows_is_the_time_where_the_period_is_given(tmp_path):
     ticks = (2**32 - 5_000_000 + 480_000 * np.arange(ROWS)) % 2**32
     _require_truth(recording(tmp_path / "l.csv", "ticks,angle,rate,u", ticks, ANGLE, RATE, COMMAND, dt=0.01))
@@ -305,10 +296,3 @@ def test_rows_of_a_time_a_name_and_a_value_have_a_column_a_name(tmp_path, apart)
     assert (found.signature.state_names, found.signature.input_names) == (("angle", "rate"), ("u",))
     assert found.transitions.dt == pytest.approx(0.01) and len(found.transitions) >= ROWS - 3
     assert found.transitions.x.isfinite().double().mean() > 0.95
-
-
-@pytest.mark.parametrize("rate", [128, 144, 192])
-def test_seconds_of_a_short_log_are_no_parts_of_a_day(tmp_path, rate):
-    rows = np.arange(3, 120)
-    found = recording(tmp_path / "l.csv", "time,angle,u", rows / rate, ANGLE[rows], COMMAND[rows])
-    assert found.transitions.dt == pytest.approx(1 / rate)
