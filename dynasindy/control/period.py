@@ -12,7 +12,7 @@ from dynasindy.findings import Finding, note
 from dynasindy.identification.source import PERIOD, Source, closest_period
 from dynasindy.identification.verdict import logged_input_ranges
 from dynasindy.planning.plan_settings import LONGEST, choose_plan_settings, find_task_equilibria
-from dynasindy.planning.regulator import Weights, regulated, squares_of
+from dynasindy.planning.regulator import regulated, squares_of
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.lag_states import lag_state_ranges
 from dynasindy.sindy.reconstruction import rate_states, reconstruct
@@ -117,17 +117,17 @@ def _settles(env: ControlEnv, x: Tensor, u: Tensor, share: float = SETTLED) -> f
     """Return how long outputs take to settle within a share of a step under a linear regulator [s], 0 without one."""
     # Linear as at the middle rest, or the median of the places if less: friction holds a plant as if it moved slowly.
     # A policy that begins as a regulator sees the end of a motion whatever the window.
-    rests, weights = find_task_equilibria(env), Weights()
+    rests = find_task_equilibria(env)
     if rests is None or not len(rests) or choose_plan_settings(env, rests).warm_start:
         return 0.0
     assert isinstance(env.task, Tracking)
     moved, k, extents = rests.moved, rests.middle(), torch.full((len(rests.moved),), math.inf, dtype=torch.float64)
     extents[env.task.outputs] = env.task.boxes()
-    away, q = (rests.x - rests.x[k])[:, moved], squares_of(env.task, weights)[moved]
+    away, q = (rests.x - rests.x[k])[:, moved], squares_of(env.task)[moved]
     places = torch.cat([rests.x[k : k + 1], x.double()]), torch.cat([rests.u[k : k + 1], u.double()])
     found = []
     for a, b in zip(*slopes(env.system, *places), strict=True):
-        law = regulated(a[moved][:, moved], b[moved], env.dt, q, weights.inputs, env.system.step)
+        law = regulated(a[moved][:, moved], b[moved], env.dt, q, env.system.step)
         if law is None:
             found.append(math.nan)
             continue

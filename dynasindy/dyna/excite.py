@@ -255,7 +255,7 @@ class RegulatedExcitation:
         if found is None:
             return
         scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
-        solved = regulated(found.a, found.b, parts.plant.dt, 1.0 / scale.square(), 1.0)
+        solved = regulated(found.a, found.b, parts.plant.dt, 1.0 / scale.square())
         if solved is None:
             return
         self.home, self.gain = found.home, solved.gain

@@ -28,7 +28,7 @@ import torch
 from torch import Tensor, nn
 
 from dynasindy.envs import ControlEnv, Tracking
-from dynasindy.planning.regulator import Regulator, Weights
+from dynasindy.planning.regulator import Regulator
 from dynasindy.planning.rollout import Network, Rows, Window, imagine
 from dynasindy.planning.trajectory_library import WEIGHTS, TrajectoryLibrary, at_rest, cross_entropy, signal
 from dynasindy.progress import track
@@ -116,7 +116,7 @@ def hold(
 
 def _regulators(env: ControlEnv, rests: Equilibria) -> list[Regulator]:
     """Return regulators of the model, from gentle to strong ones."""
-    found = [Regulator.of(env, rests, replace(Weights(), outputs=weight)) for weight in LADDER]
+    found = [Regulator.of(env, rests, weight) for weight in LADDER]
     return [law for law in found if law is not None]
 
 
@@ -134,7 +134,7 @@ def _arrives(pilot: Network, env: ControlEnv, rests: Equilibria, rng: torch.Gene
     """Return whether a policy brings every imagined episode to rest; of a moving reference nothing is asked."""
     task, batch = env.task, torch.Size((ROWS,))
     params, begin = task.sample(batch, rng), torch.zeros(ROWS, 1)
-    regulator = Regulator.of(env, rests, WEIGHTS)
+    regulator = Regulator.of(env, rests, *WEIGHTS)
     assert isinstance(task, Tracking)
     first, last = (task.reference(params, t).float() for t in (begin, begin + task.max_steps * env.dt))
     if regulator is None or not torch.allclose(last, first):

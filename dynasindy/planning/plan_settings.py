@@ -22,7 +22,7 @@ from torch import Tensor
 from torch.quasirandom import SobolEngine
 
 from dynasindy.envs import ControlEnv, Tracking
-from dynasindy.planning.regulator import Regulator, Weights
+from dynasindy.planning.regulator import Regulator
 from dynasindy.systems.equilibria import Equilibria, find_equilibria, growth, modes
 from dynasindy.text import format_duration
 
@@ -119,7 +119,7 @@ def choose_plan_settings(env: ControlEnv, rests: Equilibria | None, finest: int 
     grown = max(growth(a, scale, seconds, step) for a in slopes)
     fastest = max(float(modes(a).abs().max()) for a in slopes)
     substeps = max(1, min(math.ceil(fastest * env.dt / STEP - 1e-9), SUBSTEPS)) if step is None else 1
-    regulator, window, loop = Regulator.of(env, rests, Weights()), 60, "no linear regulator holds it"
+    regulator, window, loop = Regulator.of(env, rests), 60, "no linear regulator holds it"
     if regulator is not None:
         slowest = regulator.slowest
         window = max(2 * WINDOW, min(WINDOW * round(TIME_CONSTANTS * slowest / WINDOW), LONGEST))

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv, Tracking
-from dynasindy.planning.regulator import Regulator, Weights
+from dynasindy.planning.regulator import Regulator
 from dynasindy.systems.equilibria import Equilibria
 
 
@@ -46,7 +46,7 @@ class InputStrength:
     @classmethod
     def of(cls, env: ControlEnv, rests: Equilibria, share: float) -> InputStrength | None:
         """Return the strengths of a model, 1 all of them; None where none is asked for or nothing is regulated."""
-        if not share or (regulator := Regulator.of(env, rests, Weights())) is None:
+        if not share or (regulator := Regulator.of(env, rests)) is None:
             return None
         task = env.task
         assert isinstance(task, Tracking)

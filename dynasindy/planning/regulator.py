@@ -3,13 +3,12 @@
 | name     | symbol   | equation                                                                        |
 | -------- | -------- | ------------------------------------------------------------------------------- |
 | rest     | x_e, u_e | f(x_e, u_e) = 0 with the tracked states at r; cubic polynomials of r fitted to rests |
-| gain     | K        | least sum of (x - x_e)' Q (x - x_e) + (u - u_e)' R (u - u_e), discrete Riccati equation |
+| gain     | K        | least sum of (x - x_e)' Q (x - x_e) + (u - u_e)' (u - u_e), discrete Riccati equation |
 | law      | u        | u_e(r) - K (x - x_e(r)), within the limits of inputs                                 |
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import chain, combinations_with_replacement
 from typing import NamedTuple
 
@@ -31,21 +30,6 @@ AROUND = 0.3
 """Distance from a rest at which every second imagined episode begins [ranges of the states]."""
 
 
-@dataclass(frozen=True)
-class Weights:
-    """Weights of the quadratic cost.
-
-    Attributes:
-        outputs: Of each squared tracking error, in target ranges.
-        states: Of each squared state, in its range.
-        inputs: Of each squared input.
-    """
-
-    outputs: float = 100.0
-    states: float = 0.1
-    inputs: float = 1.0
-
-
 class Regulator:
     """The law, read from observations.
 
@@ -53,19 +37,17 @@ class Regulator:
         gain: K, `(n_u, n_x)`.
         cost: P, the quadratic cost of a state's distance from its rest, `(n_x, n_x)`.
         squares: Q, `(n_x, n_x)`.
-        weights: What Q and R were made of.
         slowest: Time constant of the slowest mode of the regulated linear model [control periods].
 
     Args:
         task: What the observations are of.
         rests: Equilibria of the model.
-        weights: Weights of the quadratic cost.
         squares: Weight of each squared state, `(n_x,)`.
         solved: Solution of the Riccati equation in those states.
     """
 
-    def __init__(self, task: Tracking, rests: Equilibria, weights: Weights, squares: Tensor, solved: _Solved) -> None:
-        self.task, self.weights, self.slowest, self.moved = task, weights, solved.slowest, rests.moved
+    def __init__(self, task: Tracking, rests: Equilibria, squares: Tensor, solved: _Solved) -> None:
+        self.task, self.slowest, self.moved = task, solved.slowest, rests.moved
         n_x, moved = len(rests.moved), rests.moved
         self.squares = torch.diag(squares.where(moved, 0.0)).float()
         self.gain, self.cost = torch.zeros(solved.gain.shape[0], n_x), torch.zeros(n_x, n_x)
@@ -80,16 +62,23 @@ class Regulator:
         self.rests, self.box = through.float(), box.float()
 
     @classmethod
-    def of(cls, env: ControlEnv, rests: Equilibria, weights: Weights) -> Regulator | None:
-        """Return the regulator of the model at the middle of its rests; None without one, or where none holds it."""
+    def of(cls, env: ControlEnv, rests: Equilibria, outputs: float = 100.0, states: float = 0.1) -> Regulator | None:
+        """Return the regulator of the model at the middle of its rests; None without one, or where none holds it.
+
+        Args:
+            env: Imagined environment.
+            rests: Equilibria of its model.
+            outputs: Weight of each squared tracking error, in target ranges; that of an input is one.
+            states: Weight of each other squared state, in its range.
+        """
         if not len(rests):
             return None
         task, k, moved = env.task, rests.middle(), rests.moved
         assert isinstance(task, Tracking)
-        q = squares_of(task, weights)
+        q = squares_of(task, outputs, states)
         a, b = rests.a[k][moved][:, moved], rests.b[k][moved]
-        found = regulated(a, b, env.dt, q[moved], weights.inputs, env.system.step)
-        return None if found is None else cls(task, rests, weights, q, found)
+        found = regulated(a, b, env.dt, q[moved], env.system.step)
+        return None if found is None else cls(task, rests, q, found)
 
     def __call__(self, observation: Tensor) -> Tensor:
         """Return inputs `(*batch, n_u)` for observations `(*batch, n_o)`."""
@@ -131,14 +120,14 @@ class _Solved(NamedTuple):
     closed: Tensor  # a - b K of the closed loop x[k+1] = (a - b K) x[k], `(n_x, n_x)`
 
 
-def squares_of(task: Tracking, weights: Weights) -> Tensor:
+def squares_of(task: Tracking, outputs: float = 100.0, states: float = 0.1) -> Tensor:
     """Return the weight of each squared state of a task, `(n_x,)`."""
-    q = weights.states / torch.tensor(task.signature.x_scale, dtype=torch.float64).square()
-    q[task.outputs] = weights.outputs / task.boxes().double().square()
+    q = states / torch.tensor(task.signature.x_scale, dtype=torch.float64).square()
+    q[task.outputs] = outputs / task.boxes().double().square()
     return q
 
 
-def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float | None = None) -> _Solved | None:
+def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, step: float | None = None) -> _Solved | None:
     """Return the law of the least quadratic cost for inputs that are held for a control period, or None without one.
 
     Args:
@@ -146,7 +135,6 @@ def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float 
         b: df/du, `(n_x, n_u)` [1/s].
         dt: Control period [s].
         q: Weight of each squared state, `(n_x,)`.
-        r: Weight of each squared input.
         step: Of the difference equation that the model is [s]; None of a differential equation.
     """
     if step is None:  # the input is a state that does not change; scipy.signal has this for a second of imports
@@ -158,7 +146,7 @@ def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float 
         powers = [torch.linalg.matrix_power(once, k) for k in range(count)]
         a, b = once @ powers[-1], h * torch.stack(powers).sum(0) @ b
     for discount in (1.0, DISCOUNT):
-        f, g, cost = discount * a.numpy(), discount * b.numpy(), r * np.eye(b.shape[1])
+        f, g, cost = discount * a.numpy(), discount * b.numpy(), np.eye(b.shape[1])
         try:
             p = solve_discrete_are(f, g, np.diag(q.numpy()), cost)
         except (np.linalg.LinAlgError, ValueError):

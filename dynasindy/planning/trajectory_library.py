@@ -31,7 +31,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv, Tracking
-from dynasindy.planning.regulator import Regulator, Weights
+from dynasindy.planning.regulator import Regulator
 from dynasindy.planning.rollout import Network, Rows, imagine, sensitivities
 from dynasindy.progress import track
 from dynasindy.systems import integrate
@@ -55,7 +55,8 @@ WATCHED, STILL, NEAR = 100, 20, 0.05
 """A plant is caught if the regulator has it within 5 % of its ranges in the last 20 of 100 control periods."""
 TRIED = 5
 """Points of a way at which the regulator is tried, the nearest to the rest first."""
-WEIGHTS = Weights(outputs=10.0, states=1.0, inputs=1.0)
+WEIGHTS = 10.0, 1.0
+"""Weights of outputs and states of the regulator at rest."""
 NEARNESS = 30.0
 """Weight of the distance in ranges against that of the value."""
 CHUNK = 8_000_000
@@ -90,7 +91,7 @@ class TrajectoryLibrary:
             rests: Equilibria of its model.
             rng: Source of starts and signals.
         """
-        regulator = Regulator.of(env, rests, WEIGHTS)
+        regulator = Regulator.of(env, rests, *WEIGHTS)
         if regulator is None:
             return None, 0
         rows = Rows.draw(env, STARTS, rng)
@@ -179,11 +180,10 @@ def _along(
     x_e, u_e = regulator.rest(reference)
     gain, value = regulator.gain, regulator.cost
     gains, values = [gain], [value]
-    weight = regulator.weights.inputs * torch.eye(gain.shape[0])
     if len(way.inputs):
         a, b = sensitivities(env, way.states[:-1], way.inputs)
     for k in range(len(way.inputs) - 1, -1, -1):
-        gain = torch.linalg.solve(weight + b[k].mT @ value @ b[k], b[k].mT @ value @ a[k])
+        gain = torch.linalg.solve(torch.eye(len(gain)) + b[k].mT @ value @ b[k], b[k].mT @ value @ a[k])
         value = regulator.squares + a[k].mT @ value @ (a[k] - b[k] @ gain)
         value = 0.5 * (value + value.mT)
         gains.append(gain)

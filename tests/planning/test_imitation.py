@@ -8,14 +8,14 @@ from torch import nn
 from dynasindy.agents.networks import MLP
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.imitation import ROWS, _arrives, _bears_delay, _imitate, _regulators, hold
-from dynasindy.planning.regulator import Regulator, Weights
+from dynasindy.planning.regulator import Regulator
 from dynasindy.planning.rollout import Rows
 
 
 def test_a_policy_that_imitates_the_law_holds_the_plant_and_keeps_to_it(inverted):
     env, rests = inverted()
     torch.manual_seed(0)
-    network, law = MLP(3, 1, (32, 32), squash=True), Regulator.of(env, rests, Weights())
+    network, law = MLP(3, 1, (32, 32), squash=True), Regulator.of(env, rests)
     _imitate(network, law, env, torch.Generator().manual_seed(0))
     x = torch.tensor([[0.3, 0.0], [-0.3, 0.1]])
     params = torch.zeros(2, 1, 5)
@@ -28,7 +28,7 @@ def test_a_policy_that_imitates_the_law_holds_the_plant_and_keeps_to_it(inverted
 
 def test_every_other_lesson_begins_around_a_rest_and_the_rest_where_episodes_do(inverted):
     env, rests = inverted(start={"theta": [0.3, 0.3]})
-    law, begun = Regulator.of(env, rests, Weights()), []
+    law, begun = Regulator.of(env, rests), []
     near = law.near
 
     class Watched(MLP):
@@ -71,7 +71,7 @@ def test_a_law_arrives_where_the_plant_rests_at_every_target_in_the_end(inverted
     """A torque of 2 cannot lift a weight of 4 from hanging in one go; from a lean of 0.1 rad it holds."""
     for start, arrived in (({"theta": [-0.1, 0.1]}, True), ({"theta": [math.pi, math.pi]}, False)):
         env, rests = inverted(pull=2.0, start=start, box=0.01, max_steps=120)
-        law = Regulator.of(env, rests, Weights())
+        law = Regulator.of(env, rests)
         assert _arrives(law, env, rests, torch.Generator().manual_seed(0)) is arrived
         assert not _arrives(lambda o: torch.ones(*o.shape[:-1], 1), env, rests, torch.Generator().manual_seed(0))
 

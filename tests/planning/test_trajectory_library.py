@@ -97,7 +97,7 @@ def test_the_nearest_point_is_that_of_the_formula(swing):
 def test_gains_along_a_way_are_those_of_the_riccati_recursion():
     """One way by hand: sampled derivatives by central differences, then P and K backwards in NumPy."""
     env, rests = setting(start=0.9)
-    regulator = Regulator.of(env, rests, WEIGHTS)
+    regulator = Regulator.of(env, rests, *WEIGHTS)
     rows = Rows.start(torch.tensor([[0.9, 0.0]]), env.task.sample(torch.Size((1,)), torch.Generator()), 1)
     way = _find_caught_trajectories(env, regulator, rows, torch.Generator().manual_seed(0))[0][0]
     assert len(way.inputs) > 3
