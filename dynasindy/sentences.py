@@ -387,7 +387,7 @@ def check_lines(findings: Sequence[Finding]) -> list[str]:
     """Return a line for each finding of a check, and one that sums them up; a remedy stands behind the first it mends.
 
     Args:
-        findings: What `dynasindy.evaluation.check_verdict.check_verdict` returned.
+        findings: What `dynasindy.evaluation.check.check_verdict` returned.
     """
     texts, said = [], set[str]()
     for each in findings:

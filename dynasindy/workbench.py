@@ -42,8 +42,8 @@ from dynasindy.control.period import as_planned, suited_period
 from dynasindy.control.sensing import Sensing
 from dynasindy.envs import Channel, ControlEnv, RandomStep, Sensors, Tracking, TrackingReward
 from dynasindy.evaluation.forecast import Forecast
+from dynasindy.evaluation.metrics import to_text
 from dynasindy.evaluation.scenarios import Policy, Scenario, step_references
-from dynasindy.evaluation.summary import to_text
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, wrong
 from dynasindy.identification.forecast_errors import forecast_errors

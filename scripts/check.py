@@ -13,8 +13,7 @@ def main(cfg: Any) -> None:
     from omegaconf import OmegaConf
     from settings import read_config
 
-    from dynasindy.evaluation.check import Settings, check
-    from dynasindy.evaluation.check_verdict import check_record, check_verdict, unstable_targets
+    from dynasindy.evaluation.check import Settings, check, check_record, check_verdict, unstable_targets
     from dynasindy.evaluation.closed_loop import ClosedLoop
     from dynasindy.export.write import read
     from dynasindy.findings import Finding

@@ -13,8 +13,8 @@ def main(cfg: Any) -> None:
     from saved_run import load_config, load_policy, load_scenario, load_sensing
 
     from dynasindy.control.integral import IntegralAction
+    from dynasindy.evaluation.metrics import to_text
     from dynasindy.evaluation.scenarios import evaluate
-    from dynasindy.evaluation.summary import to_text
     from dynasindy.evaluation.tracking_criteria import WITHIN, judge_control, judge_tracking
     from dynasindy.progress import say, width
     from dynasindy.safe_io import output_folder

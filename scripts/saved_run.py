@@ -22,7 +22,7 @@ from omegaconf import DictConfig, OmegaConf
 from settings import check, plugins_of, read_config
 
 from dynasindy.control import Observer, load, save
-from dynasindy.control.files import NAME
+from dynasindy.control.controller import NAME
 from dynasindy.control.period import suited_period
 from dynasindy.control.sensing import Sensing
 from dynasindy.dyna import Stopped
@@ -31,7 +31,7 @@ from dynasindy.dyna.folder import read_weights, result
 from dynasindy.dyna.recorder import Evaluating
 from dynasindy.dyna.run import run, run_report
 from dynasindy.envs import Channel, ControlEnv, Sensors
-from dynasindy.evaluation.check_verdict import thin_margin
+from dynasindy.evaluation.check import thin_margin
 from dynasindy.evaluation.scenarios import Policy, Scenario
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, note, records

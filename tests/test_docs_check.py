@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from dynasindy.evaluation.check import Settings, check
-from dynasindy.evaluation.check_verdict import check_verdict
+from dynasindy.evaluation.check import Settings, check, check_verdict
 
 REPOSITORY = Path(__file__).parents[1]
 PAGE = (REPOSITORY / "docs" / "check.md").read_text()

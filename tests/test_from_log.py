@@ -7,8 +7,8 @@ import pytest
 import torch
 
 import dynasindy
+from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import Multisine, Step
-from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.findings import note
 from dynasindy.identification.source import Source

@@ -13,8 +13,8 @@ import dynasindy
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
 from dynasindy.data.recording import Recording
+from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import ControlEnv, Multisine, RandomStep, Step, Tracking, TrackingReward
-from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.findings import FindingError, note, wrong
 from dynasindy.identification.source import Source

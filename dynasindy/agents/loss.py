@@ -1,8 +1,15 @@
-"""TorchRL's TD3 loss on plain tensors: the same values and gradients in less time."""
+"""TD3's losses on plain tensors, and steps of Adam down them: by torch, and as machine code on the CPU.
+
+At the sizes that control needs, a good half of an update is what torch does around its products. `c/td3.c`, with the
+networks of `c/perceptron.c`, does the same arithmetic on the same tensors without it: weights, targets, the moments of
+Adam and the smoothing noise are torch's and stay where they are. A step equals that of `GradientSteps` up to rounding.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import ctypes
+from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import Any
 
 import torch
@@ -12,6 +19,9 @@ from torch import Tensor
 from torch.optim import Adam
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss
 from torchrl.objectives import ValueEstimators
+
+from dynasindy.agents.networks import Layer
+from dynasindy.systems.compiler import c_text, find_library
 
 
 class TD3Loss(TorchRLTD3Loss):
@@ -157,3 +167,171 @@ class GradientSteps:
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
+
+
+LINE = 64
+"""Bytes at whose multiples the room for a batch begins, as the widest numbers of a processor do."""
+Pointers = ctypes.POINTER(ctypes.c_void_p)
+
+
+def line_of(room: Tensor) -> ctypes.c_void_p:
+    """Return where the first line of a processor's cache begins in some room."""
+    return ctypes.c_void_p(-(-room.data_ptr() // LINE) * LINE)
+
+
+def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, machine_code: bool = True) -> GradientSteps:
+    """Return machine code for these networks where there can be, and otherwise automatic differentiation.
+
+    Args:
+        loss: the loss module.
+        critics: the optimiser of the critics.
+        actor: the optimiser of the actor.
+        machine_code: whether machine code is wanted.
+    """
+    # The code knows perceptrons in float32 on the CPU, and Adam as its authors describe it.
+    tensors = [tensor for layer in (*loss.actor_layers, *loss.critic_layers) for tensor in layer]
+    groups = [*critics.param_groups, *actor.param_groups]
+    extras = any(group.get(name) for group in groups for name in ("weight_decay", "amsgrad", "maximize"))
+    usual = type(critics) is type(actor) is Adam and len(groups) == 2 and not extras
+    known = all(tensor.is_cpu and tensor.dtype == torch.float32 and tensor.requires_grad for tensor in tensors)
+    if machine_code and type(loss) is TD3Loss and usual and known:
+        code = find_library(c_text("agents", "perceptron.c", "td3.c"), "TD3 learns", fast=True)
+        if code is not None:
+            return _MachineSteps(code, loss, critics, actor)
+    return GradientSteps(loss, critics, actor)
+
+
+class _MachineSteps(GradientSteps):
+    """Steps of Adam down the two losses of TD3, as machine code; tensors are read where they lay when it was made."""
+
+    def __init__(self, code: ctypes.CDLL, loss: TD3Loss, critics: Adam, actor: Adam) -> None:
+        super().__init__(loss, critics, actor)
+        self._code = code
+        self._code.room.restype = ctypes.c_long
+        learning = loss.actor_layers, loss.critic_layers
+        gradients = [[Layer(*map(torch.zeros_like, layer)) for layer in layers] for layers in learning]
+        targets = loss.target_actor_layers, loss.target_critic_layers
+        networks = [*learning, *targets, *gradients]
+        first, last = loss.actor_layers[0].weight, loss.critic_layers[-1].bias
+        self.n_obs, self.n_u = first.shape[-1], loss.actor_layers[-1].bias.shape[-1]
+        sizes = self.n_obs, self.n_u, last.shape[0]
+        self._agent = _Agent(
+            *sizes, loss.discount, loss.policy_noise, loss.noise_clip, *map(network_pointers, networks)
+        )
+        self._actor_weights = _weights(actor, loss.actor_layers, gradients[0])
+        self._critic_weights = _weights(critics, loss.critic_layers, gradients[1])
+        moments = [state[name] for each in (critics, actor) for state in each.state.values() for name in state]
+        self._held = networks, moments  # what the code points to is kept alive
+        self._room = torch.empty(0)
+
+    def critics(self, batch: TensorDictBase, check: Check) -> tuple[Tensor, Tensor]:
+        """Take a step of the critics, see `GradientSteps`."""
+        following = batch.get("next")
+        seen, acted = self._tensor(batch, "observation", self.n_obs), self._tensor(batch, "action", self.n_u)
+        then, reward = self._tensor(following, "observation", self.n_obs), self._tensor(following, "reward", 1)
+        ended = self._tensor(following, "terminated", 1, torch.bool)
+        noise = torch.empty_like(acted).normal_(0.0, 1.0, generator=self.loss.generator)
+        loss, value = ctypes.c_double(), ctypes.c_double()
+        given = _Batch(len(seen), *(tensor.data_ptr() for tensor in (seen, acted, then, reward, noise, ended)))
+        found = ctypes.byref(loss), ctypes.byref(value)
+        self._code.learn_values(ctypes.byref(self._agent), ctypes.byref(given), self._place(len(seen)), *found)
+        error = torch.tensor(loss.value)
+        check(error, "the critics' loss")
+        self._step(self._critic_weights, self.optimizers[0])
+        return error, torch.tensor(value.value)
+
+    def actor(self, batch: TensorDictBase, check: Check) -> Tensor:
+        """Take a step of the actor, see `GradientSteps`."""
+        seen, loss = self._tensor(batch, "observation", self.n_obs), ctypes.c_double()
+        given = _Batch(len(seen), seen.data_ptr())
+        room = self._place(len(seen))
+        self._code.learn_policy(ctypes.byref(self._agent), ctypes.byref(given), room, ctypes.byref(loss))
+        error = torch.tensor(loss.value)
+        check(error, "the actor's loss")
+        self._step(self._actor_weights, self.optimizers[1])
+        return error
+
+    def _step(self, weights: _Weights, optimizer: Adam) -> None:
+        group = optimizer.param_groups[0]
+        numbers = group["lr"], *group["betas"], group["eps"]
+        self._code.descend(ctypes.byref(weights), *map(ctypes.c_double, numbers))
+
+    def _tensor(self, batch: TensorDictBase, key: str, width: int, dtype: torch.dtype = torch.float32) -> Tensor:
+        # The code reads as many numbers as it is told, whatever is there.
+        tensor: Tensor = batch.get(key)
+        if not len(tensor):
+            raise ValueError("A batch of TD3 holds no transition; give one at least.")
+        if tensor.shape != (batch.batch_size[0], width) or tensor.dtype != dtype or not tensor.is_cpu:
+            raise ValueError(
+                f"A batch of TD3 holds '{key}' as {tuple(tensor.shape)}, {tensor.dtype}, on {tensor.device}; give "
+                f"{(batch.batch_size[0], width)}, {dtype}, on the CPU."
+            )
+        return tensor.contiguous()
+
+    def _place(self, rows: int) -> ctypes.c_void_p:
+        needed = self._code.room(ctypes.byref(self._agent), ctypes.c_long(rows)) + LINE // 4
+        if len(self._room) < needed:
+            self._room = torch.zeros(needed)
+        return line_of(self._room)
+
+
+class _NetworkPointers(ctypes.Structure):
+    """A perceptron as `c/perceptron.c` reads it."""
+
+    _fields_ = (
+        ("depth", ctypes.c_int),
+        ("widths", ctypes.POINTER(ctypes.c_int)),
+        ("weight", Pointers),
+        ("bias", Pointers),
+    )
+
+
+class _Agent(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_int) for name in ("n_obs", "n_u", "critics")),
+        *((name, ctypes.c_float) for name in ("gamma", "sigma", "clip")),
+        *((name, _NetworkPointers) for name in ("actor", "critic", "target_actor", "target_critic")),
+        *((name, _NetworkPointers) for name in ("actor_gradient", "critic_gradient")),
+    )
+
+
+class _Batch(ctypes.Structure):
+    _fields_ = (
+        ("rows", ctypes.c_long),
+        *((name, ctypes.c_void_p) for name in ("observation", "action", "next_observation", "reward")),
+        *((name, ctypes.c_void_p) for name in ("noise", "terminated")),
+    )
+
+
+class _Weights(ctypes.Structure):
+    _fields_ = (
+        ("tensors", ctypes.c_int),
+        ("sizes", ctypes.POINTER(ctypes.c_long)),
+        *((name, Pointers) for name in ("weight", "gradient", "mean", "square", "steps")),
+    )
+
+
+def network_pointers(layers: Sequence[Layer]) -> _NetworkPointers:
+    """Return where the tensors of layers lie; they must stay there, and not be freed, as long as it is used."""
+    widths = [layers[0].weight.shape[-1], *(layer.bias.shape[-1] for layer in layers)]
+    weights, biases = zip(*((layer.weight, layer.bias) for layer in layers))
+    return _NetworkPointers(len(layers), (ctypes.c_int * len(widths))(*widths), _pointers(weights), _pointers(biases))
+
+
+def _weights(optimizer: Adam, layers: Sequence[Layer], gradients: Sequence[Layer]) -> _Weights:
+    """Return what a step of Adam reads and writes; what it has not made yet is made as it would."""
+    flat, slopes = (list(chain.from_iterable(each)) for each in (layers, gradients))
+    owners = {parameter.data_ptr(): parameter for parameter in optimizer.param_groups[0]["params"]}
+    states = [optimizer.state[owners[tensor.data_ptr()]] for tensor in flat]
+    for tensor, state in zip(flat, states, strict=True):
+        if not state:
+            state["step"] = torch.zeros((), dtype=torch.float32)
+            state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(tensor), torch.zeros_like(tensor)
+    moments = ([state[name] for state in states] for name in ("exp_avg", "exp_avg_sq", "step"))
+    sizes = (ctypes.c_long * len(flat))(*(tensor.numel() for tensor in flat))
+    return _Weights(len(flat), sizes, *map(_pointers, (flat, slopes, *moments)))
+
+
+def _pointers(tensors: Sequence[Tensor]) -> ctypes._Pointer[ctypes.c_void_p]:
+    addresses = (ctypes.c_void_p * len(tensors))(*(tensor.data_ptr() for tensor in tensors))
+    return ctypes.cast(addresses, Pointers)

@@ -31,8 +31,7 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import ValueOperator
 from torchrl.objectives import SoftUpdate
 
-from dynasindy.agents.loss import GradientSteps, TD3Loss
-from dynasindy.agents.machine import best_steps
+from dynasindy.agents.loss import GradientSteps, TD3Loss, best_steps
 from dynasindy.agents.networks import MLP, actor
 from dynasindy.limits import Positive, check_memory
 from dynasindy.safe_io import checked_class

@@ -3,8 +3,7 @@
 With it the observer that makes states of measurements, and the sensing of a plant in simulation.
 """
 
-from dynasindy.control.controller import Controller
-from dynasindy.control.files import load, save
+from dynasindy.control.controller import Controller, load, save
 from dynasindy.control.observer import Observer
 
 __all__ = ["Controller", "Observer", "load", "save"]

@@ -18,15 +18,14 @@ from torch import Tensor
 from torchrl.record import TensorboardLogger
 
 from dynasindy.control import Controller, save
-from dynasindy.control.controller import ControlSetup
-from dynasindy.control.files import NAME
+from dynasindy.control.controller import NAME, ControlSetup
 from dynasindy.dyna.callback import Callback, Episode, Place
 from dynasindy.dyna.excite import excitation_findings
 from dynasindy.dyna.experiment import Components
 from dynasindy.envs import Tracking
-from dynasindy.evaluation.check_verdict import thin_margin
+from dynasindy.evaluation.check import thin_margin
+from dynasindy.evaluation.metrics import Summary
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.evaluation.summary import Summary
 from dynasindy.evaluation.tracking_criteria import (
     WITHIN,
     TrackingCriteria,

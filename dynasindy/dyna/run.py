@@ -13,7 +13,7 @@ from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import MADE, Checkpoints, result
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.recorder import IDENTIFICATION, Evaluating, Recorder
-from dynasindy.evaluation.summary import to_text
+from dynasindy.evaluation.metrics import to_text
 from dynasindy.findings import Finding, note
 from dynasindy.limits import is_memory_error, memory_wanted, raise_if_memory
 from dynasindy.progress import Progress, width

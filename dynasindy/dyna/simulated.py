@@ -15,13 +15,13 @@ from torch import Tensor
 from dynasindy.dyna.excite import RegulatedExcitation, excitation_findings, excite
 from dynasindy.dyna.experiment import PlantComponents
 from dynasindy.envs import Aprbs, ControlEnv, Excitation, RandomStep, Sensors, Tracking, TrackingReward
-from dynasindy.envs.rollout_data import record_plant
 from dynasindy.findings import Finding, note
 from dynasindy.identification.source import PERIOD, DataSource, Source
 from dynasindy.limits import Positive
 from dynasindy.safe_io import checked_class
 from dynasindy.systems.base import Ends, System, sample_states
 from dynasindy.systems.checks import require_plant
+from dynasindy.systems.integrators import simulate
 from dynasindy.systems.transitions import Transitions
 
 HOLD = 0.5
@@ -177,3 +177,22 @@ class Simulated(DataSource):
         """Return the states in which recordings begin, `(*batch, n_x)`."""
         ends = system.signature.start_ranges(self.start or {})
         return sample_states(ends, torch.Size(batch), torch.Generator().manual_seed(seed))
+
+
+def record_plant(plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tensor | None = None) -> Transitions:
+    """Excite a plant and log its states; samples that touch a stop are left out.
+
+    Args:
+        plant: system to excite.
+        u: inputs held in each interval, `(T, n_u)`.
+        dt: time between two samples [s].
+        substeps: Runge-Kutta steps between two samples.
+        x0: start state, `(n_x,)`; zero by default.
+
+    Returns:
+        Up to T transitions, float64.
+    """
+    x = torch.zeros(plant.signature.n_x, dtype=torch.float64) if x0 is None else x0.to(torch.float64)
+    with torch.no_grad():
+        samples, touched = simulate(plant, x, u := u.to(torch.float64), dt, substeps, plant.stops)
+    return Transitions.from_trajectory(torch.cat([x.unsqueeze(0), samples[..., -1, :]]), u, dt).select(~touched)

@@ -17,7 +17,7 @@ from tensordict import TensorDictBase
 from dynasindy.envs import RandomStep, Tracking, TrackingReward
 from dynasindy.envs.control_env import ControlEnv
 from dynasindy.envs.drawing import Frame, draw
-from dynasindy.envs.tracking_machine import TrackingMachine
+from dynasindy.envs.tracking import TrackingMachine
 from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
 from dynasindy.systems.steps import steps_of
 from dynasindy.text import duration_unit

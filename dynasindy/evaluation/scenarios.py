@@ -23,8 +23,7 @@ from dynasindy.control.sensing import Sensing
 from dynasindy.envs import ControlEnv, Reference, Sampled, Step, Task, Tracking
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise
-from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, steady_seconds, tracking_metrics
-from dynasindy.evaluation.summary import Summary
+from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, Summary, steady_seconds, tracking_metrics
 from dynasindy.findings import Finding, note, weak
 from dynasindy.limits import Count, check_memory, raise_if_memory
 from dynasindy.progress import report_progress

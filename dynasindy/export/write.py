@@ -7,7 +7,7 @@ from pathlib import Path
 
 from dynasindy.control import Controller, load
 from dynasindy.control.c_code import Native, controller_sources, model_sources
-from dynasindy.control.files import FORMAT, NAME
+from dynasindy.control.controller import FORMAT, NAME
 from dynasindy.export.fmu import controller_fmu, plant_fmu
 from dynasindy.export.formats import casadi_source, latex_source
 from dynasindy.export.onnx import controller_onnx, policy_onnx

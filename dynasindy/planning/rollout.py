@@ -31,7 +31,7 @@ from functools import cache
 import torch
 from torch import Tensor
 
-from dynasindy.agents.machine import LINE, line_of, network_pointers
+from dynasindy.agents.loss import LINE, line_of, network_pointers
 from dynasindy.agents.networks import MLP, Layer
 from dynasindy.envs import ControlEnv, Task
 from dynasindy.planning.randomization import InputStrength

@@ -17,7 +17,7 @@ from pydantic import create_model
 
 from dynasindy import workbench
 from dynasindy.control import Controller, save
-from dynasindy.control.files import NAME
+from dynasindy.control.controller import NAME
 from dynasindy.envs import Excitation, Step
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.identification.identify import LoggedData, identify

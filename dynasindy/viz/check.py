@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch
 from torch import Tensor
 
-from dynasindy.evaluation.check import TOLERANCE, Check
-from dynasindy.evaluation.check_verdict import Thresholds
+from dynasindy.evaluation.check import TOLERANCE, Check, Thresholds
 from dynasindy.evaluation.linear_loop import frequencies, open_loop_response
 from dynasindy.text import format_duration
 from dynasindy.viz.style import (

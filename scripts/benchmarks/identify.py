@@ -20,8 +20,8 @@ from torch import Tensor
 
 from benchmarks.common import RESULTS, EquationSystem, commit
 from benchmarks.pysindy_regression import Score, best_threshold, score, smoothed_rows, stlsq, weak_rows
+from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import Aprbs, Chirp, Excitation
-from dynasindy.envs.rollout_data import record_plant
 from dynasindy.safe_io import Row, read_rows, write_rows
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import Library

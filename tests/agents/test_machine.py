@@ -7,8 +7,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.agents.loss import GradientSteps
-from dynasindy.agents.machine import _MachineSteps
+from dynasindy.agents.loss import GradientSteps, _MachineSteps
 from dynasindy.agents.td3 import TD3
 from dynasindy.systems import Diverged
 from dynasindy.systems.compiler import compiler

@@ -10,8 +10,8 @@ from benchmark import parse
 from benchmarks import peers
 from benchmarks.peers import serve
 
+from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import Multisine
-from dynasindy.envs.rollout_data import record_plant
 from dynasindy.export.formats import casadi_source
 from dynasindy.safe_io import read_rows
 from dynasindy.sindy import Refinement, Regression, SindyModel

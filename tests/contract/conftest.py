@@ -55,8 +55,8 @@ def log(tmp_path_factory, write_log) -> Path:
 
     import torch
 
+    from dynasindy.dyna.simulated import record_plant
     from dynasindy.envs import Multisine
-    from dynasindy.envs.rollout_data import record_plant
     from dynasindy.systems import Pendulum
 
     data = record_plant(Pendulum(), Multisine(1, duration=6, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)

@@ -11,8 +11,8 @@ import torch
 import dynasindy
 from dynasindy.control.period import as_planned, suited_period
 from dynasindy.data.recording import Recording
+from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import Multisine
-from dynasindy.envs.rollout_data import record_plant
 from dynasindy.findings import Finding, note
 from dynasindy.identification.source import Source, closest_period
 from dynasindy.sindy import SindyModel

@@ -8,8 +8,8 @@ import torch
 
 from dynasindy.data.columns import Column
 from dynasindy.data.rates import check_rates, require_consistent_rates
+from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import Chirp, Multisine
-from dynasindy.envs.rollout_data import record_plant
 from dynasindy.findings import LogError, weak
 from dynasindy.systems import Pendulum, Signature, Tras, Xi
 from dynasindy.systems.transitions import Transitions

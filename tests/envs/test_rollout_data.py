@@ -8,8 +8,8 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
 from dynasindy.control.sensing import Sensing
+from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import ControlEnv, Step, Tracking
-from dynasindy.envs.rollout_data import record_plant
 from dynasindy.systems import Tras, rk4
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.steps import Stops

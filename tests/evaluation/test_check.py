@@ -12,8 +12,7 @@ from omegaconf import OmegaConf
 from dynasindy.control import Controller, Observer
 from dynasindy.control.controller import ControlSetup
 from dynasindy.envs import Sensors, Step, Tracking, TrackingReward
-from dynasindy.evaluation.check import Settings, check
-from dynasindy.evaluation.check_verdict import check_record
+from dynasindy.evaluation.check import Settings, check, check_record
 from dynasindy.evaluation.closed_loop import ClosedLoop
 from dynasindy.progress import listening
 from dynasindy.sindy import SindyModel

@@ -12,9 +12,10 @@ import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from dynasindy.evaluation.check import Settings, check
-from dynasindy.evaluation.check_verdict import (
+from dynasindy.evaluation.check import (
+    Settings,
     Thresholds,
+    check,
     check_record,
     check_verdict,
     thin_margin,

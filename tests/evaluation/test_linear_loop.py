@@ -11,8 +11,7 @@ from scipy.signal import cont2discrete
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
 from dynasindy.envs import Step, Tracking, TrackingReward
-from dynasindy.evaluation.check import Settings, check
-from dynasindy.evaluation.check_verdict import check_verdict
+from dynasindy.evaluation.check import Settings, check, check_verdict
 from dynasindy.evaluation.closed_loop import ClosedLoop
 from dynasindy.evaluation.linear_loop import (
     Linear,

@@ -9,8 +9,8 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 
 from dynasindy.envs import ControlEnv, RandomStep, Step, Tracking, TrackingReward
 from dynasindy.evaluation.forecast import Forecast
+from dynasindy.evaluation.metrics import to_text
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
-from dynasindy.evaluation.summary import to_text
 from dynasindy.evaluation.tracking_criteria import judge_tracking
 from dynasindy.systems import Diverged, Pendulum, Signature, System, Tras, Xi
 

@@ -13,9 +13,8 @@ from tensordict import TensorDict
 
 from dynasindy.envs import ControlEnv, Step, Tracking, TrackingReward, Wave, wave
 from dynasindy.evaluation.disturbances import DelayedActuator, PerturbedPlant
-from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, tracking_metrics
+from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, to_text, tracking_metrics
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.evaluation.summary import to_text
 from dynasindy.findings import weak
 from dynasindy.systems import Pendulum, Signature, Xi
 

@@ -4,9 +4,8 @@ from functools import cache, partial
 
 import pytest
 
-from dynasindy.dyna.simulated import Simulated
+from dynasindy.dyna.simulated import Simulated, record_plant
 from dynasindy.envs import Aprbs, Chirp
-from dynasindy.envs.rollout_data import record_plant
 from dynasindy.findings import note
 from dynasindy.identification.identify import LoggedData, before_fit
 from dynasindy.sindy import SindyModel

@@ -9,8 +9,8 @@ import torch
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete
 
+from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import Multisine
-from dynasindy.envs.rollout_data import record_plant
 from dynasindy.identification import log_fit as module
 from dynasindy.identification.log_fit import HoldOut, fit_log
 from dynasindy.identification.source import Source

@@ -15,8 +15,8 @@ import pytest
 import torch
 import yaml
 
+from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import Aprbs
-from dynasindy.envs.rollout_data import record_plant
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Tras
 

@@ -12,8 +12,8 @@ import torch
 from omegaconf import OmegaConf
 
 from dynasindy.control import load
+from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import Multisine
-from dynasindy.envs.rollout_data import record_plant
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum
 

@@ -5,8 +5,8 @@ import shlex
 import forked
 import pytest
 
+from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import Multisine
-from dynasindy.envs.rollout_data import record_plant
 from dynasindy.systems import Pendulum
 
 

@@ -7,8 +7,7 @@ import torch
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
 from dynasindy.envs import Step, Tracking, TrackingReward
-from dynasindy.evaluation.check import Check, Settings, check
-from dynasindy.evaluation.check_verdict import Thresholds
+from dynasindy.evaluation.check import Check, Settings, Thresholds, check
 from dynasindy.evaluation.closed_loop import ClosedLoop
 from dynasindy.evaluation.linear_loop import frequencies, open_loop_response
 from dynasindy.sindy import SindyModel

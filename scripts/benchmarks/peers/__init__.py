@@ -32,8 +32,8 @@ from benchmarks.peers import serve
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.experiment import Components
 from dynasindy.dyna.loop import train
+from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import Multisine
-from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario, evaluate, step_references
 from dynasindy.export.formats import casadi_source
 from dynasindy.safe_io import Row
