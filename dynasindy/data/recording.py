@@ -308,8 +308,7 @@ class LogReader:
             raise LogError("log.time_order", file=path, **place, after=float(t[k + 1]), before=float(t[k]))
         columns = dict(zip(table.headings[1:], values[1:], strict=True))
         measured = {name: (columns[c.name] * c.scale, c.unit) for name, c in states.items() if c.name}
-        sound = ((name, _without_spikes(name, x, lines, findings), unit) for name, (x, unit) in measured.items())
-        x = {name: _unwrap_angle(name, column, unit, findings) for name, column, unit in sound}
+        x = {name: _unwrap_angle(name, column, unit, findings) for name, (column, unit) in measured.items()}
         u = np.stack([columns[c.name] * c.scale for c in inputs.values()], -1)
         said += self._of_file(path, [*of_time, *findings])
         return _Part(path, states, inputs, t, x, u)
@@ -375,29 +374,6 @@ def _hold_inputs(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -
             frame.isetitem(k, column.ffill())
             findings.append(note("log.zero_order_hold", column=column.name, rows=len(rows), total=len(frame)))
     return frame
-
-
-def _without_spikes(name: str, x: Array, lines: pd.Index, findings: list[Finding]) -> Array:
-    """Return samples without those at which a state leaves its course for one row, as a sensor that fails writes."""
-    measured = np.isfinite(x)
-    value = x if measured.all() else x[measured]
-    if len(value) < 7:
-        return x
-    around = np.concatenate([[2 * value[1] - value[2]], value, [2 * value[-2] - value[-3]]])  # straight on at the ends
-    before, after = around[:-2], around[2:]
-    off = np.abs(value - 0.5 * (before + after))
-    usual, (low, high) = float(np.quantile(off, 0.9)), np.quantile(value, [0.1, 0.9])
-    far = (off > max(20 * usual, FAULTY * (high - low))) & (np.abs(after - before) < 0.1 * off)
-    if not usual or not 0 < far.sum() <= FAULTY * len(value):
-        return x
-    codes, counts = np.unique(value[far], return_counts=True)
-    codes = codes[(counts > 1) & ((codes < low) | (codes > high))]  # of a sensor that fails, also twice in a row
-    spikes = np.union1d(np.flatnonzero(measured)[far], np.flatnonzero(np.isin(x, codes)))
-    found = {"count": len(spikes), "line": int(lines[spikes[0]]), "value": float(x[spikes[0]])}
-    findings.append(note("log.spikes", state=name, **found))
-    left = x.copy()
-    left[spikes] = np.nan
-    return left
 
 
 def _unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Array:
@@ -600,7 +576,7 @@ def _of_plant(log: Signature, plant: Signature, unmeasured: Sequence[bool]) -> S
 
 
 def _stops(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:
-    """Tell at which rows a state rests exactly at a stop, at the end of its range, or its sensor froze, `(N,)`."""
+    """Tell at which rows a state rests exactly at a stop, at the end of its range, `(N,)`."""
     mask = np.zeros(len(next(iter(x.values()))), dtype=bool)
     for name, column in x.items():
         rows = np.flatnonzero(np.isfinite(column))  # lost samples say nothing of a stop, and do not end it
@@ -610,7 +586,7 @@ def _stops(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:
         begins = np.flatnonzero(np.diff(value, prepend=np.nan))
         runs = np.stack([begins, np.append(begins[1:], len(value))], -1)
         runs = runs[np.diff(runs)[:, 0] >= 5]
-        for end in dict.fromkeys((value.min(), value.max(), *_frozen(value, runs))):
+        for end in (value.min(), value.max()):
             same = runs[value[runs[:, 0]] == end].tolist()
             rests = [pair for pair in same if pair[0] == 0 or _is_stop(value, *pair)]
             # The start of a recording at rest is no stop, unless the state rests there again.
@@ -622,17 +598,6 @@ def _stops(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:
             findings.append(note("log.stop", count=int(own.sum()), state=name, value=float(end)))
             mask |= own
     return mask
-
-
-def _frozen(value: Array, runs: NDArray[np.int64]) -> list[float]:
-    """Return the values of 20 equal samples, `runs` from begin to end `(R, 2)`, that a state jumps to and from."""
-    steps, runs = np.abs(np.diff(value)), runs[np.diff(runs)[:, 0] > 20]
-    long = (np.diff(runs) - 1).sum()
-    if not 0 < long <= 0.2 * len(value) or (steps == 0).sum() - long > FAULTY * len(value):
-        return []
-    inner = runs[(runs[:, 0] > 0) & (runs[:, 1] < len(value))]
-    jumps = (steps[inner - 1] > np.median(steps[steps > 0])).all(1)
-    return [float(each) for each in value[inner[jumps, 0]]]
 
 
 def _is_stop(value: Array, first: int, last: int) -> bool:

@@ -215,14 +215,13 @@ def _with_signals_apart(raw: pd.DataFrame, findings: list[Finding]) -> tuple[pd.
 
 
 def _lost_code(column: Array) -> float | None:
-    """Return the number that stands for lost samples: far off all others, and a usual code."""
+    """Return the number that stands for lost samples: far off all others, and a usual code, or of what else moves."""
     finite = column[np.isfinite(column)]
-    usual = np.median(finite[:: 1 + len(finite) // 1000]) if len(finite) else 0.0
     for end in (finite.min(), finite.max()) if len(finite) else ():
-        if 2 * abs(end - usual) <= np.ptp(finite):  # not so far off
-            continue
         rest = finite[finite != end]
-        if (abs(end) in CODES or abs(end) >= HUGE) and np.abs(rest - end).min() > np.ptp(rest):
+        known = abs(end) in CODES or abs(end) >= HUGE
+        known |= len(rest) > COUNTED and bool((np.diff(rest) != 0).mean() > 0.5)
+        if known and 2 * len(rest) > len(finite) and np.abs(rest - end).min() > np.ptp(rest):
             return float(end)
     return None
 
