@@ -13,10 +13,10 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, TextIO, TypeVar, cast
+from typing import TYPE_CHECKING, Self, TextIO, TypeVar
 
 from dynasindy.text import format_duration
 
@@ -42,8 +42,6 @@ COLOURS = {
 """Words that have a colour on a terminal."""
 COMMAND = re.compile(r"\s*(?:PYTHONPATH=(?:'[^']*'|\S+) )?(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
 """How a line begins that is meant to be copied into a shell."""
-COMMENT = "  # "
-"""What a comment behind a command begins with."""
 
 
 class TimeIsUp(RuntimeError):
@@ -158,7 +156,7 @@ class Progress:
         """Begin to show."""
         if Progress.active is not None or os.environ.get(self.OWNER, str(os.getpid())) != str(os.getpid()):
             return self
-        self.file = cast("TextIO", _Detachable(sys.stderr))
+        self.file = sys.stderr
         if _is_terminal(sys.stderr):
             self.display = self.stack.enter_context(_display(self.file, self.clock))
         Progress.active, os.environ[self.OWNER] = self, str(os.getpid())
@@ -213,27 +211,6 @@ class Progress:
             around = [event.count() for of, (event, _) in self.phases.items() if of[0] and of != key]
             self.file.write(f"{', '.join(filter(None, [*around, line]))}\n")
             self.file.flush()
-
-
-class _Detachable:
-    """A file whose reader may close it, as a terminal: what is written then is lost, and the work goes on."""
-
-    def __init__(self, file: TextIO) -> None:
-        self.file = file
-
-    def write(self, text: str) -> int:
-        """Write a text, unless the file is closed."""
-        with suppress(OSError):
-            self.file.write(text)
-        return len(text)
-
-    def flush(self) -> None:
-        """Flush the file, unless it is closed."""
-        with suppress(OSError):
-            self.file.flush()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.file, name)
 
 
 def _display(file: TextIO, clock: Callable[[], float]) -> Display:
@@ -300,33 +277,18 @@ def say(*texts: str) -> None:
 
 
 def _wrap(text: str, columns: int) -> str:
-    """Return a text whose lines are no longer than so many columns: equations end between terms, sentences at words.
+    """Return a text whose lines end between words and are no longer than so many columns.
 
-    A row of several columns goes on a little further right, so that rows can be told apart.
-    A command stays one line, which the terminal wraps: of two lines, a shell would take the second for another command.
-    A comment that does not fit behind it stands below it, each of its lines a comment. A row of a table in Markdown,
-    which is to be copied into a page, stays one line as well.
+    What goes on of an equation or of a row of several columns stands further right. A command stays one line, which the
+    terminal wraps: of two lines, a shell would take the second for another command. So does a row of a table in
+    Markdown, which is to be copied into a page.
     """
-    return "\n".join(part for line in text.split("\n") for part in _wrap_line(line, columns))
+    return "\n".join(_wrap_line(line, columns) for line in text.split("\n"))
 
 
-def _wrap_line(whole: str, columns: int) -> list[str]:
-    if len(whole) <= columns or whole.startswith("| "):
-        return [whole]
-    start = " " * (len(whole) - len(whole.lstrip()))
-    if COMMAND.match(whole):
-        command, sign, comment = whole.rpartition(COMMENT)
-        begin = f"{start}{COMMENT}"
-        below = textwrap.wrap(comment, columns, initial_indent=begin, subsequent_indent=begin, break_long_words=False)
-        return [command, *below] if sign else [whole]
-    equation = re.match(r"\s*\S+(?:'|\[k\+1\]) = ", whole)
-    if equation is None:
-        return _between_words(whole, columns, f"{start}    " if "  " in whole.strip() else start)
-    # It ends between terms, and within those that are too long between factors: other blanks are no breaks at first.
-    indent = " " * min(len(equation[0]), columns // 3)
-    lines = _between_words(re.sub(r" (?![+-] )", "\xa0", whole), columns, indent)
-    return [part for line in lines for part in _between_words(line.replace("\xa0", " "), columns, indent)]
-
-
-def _between_words(line: str, columns: int, indent: str) -> list[str]:
-    return textwrap.wrap(line, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+def _wrap_line(line: str, columns: int) -> str:
+    words = line.lstrip()
+    if len(line) <= columns or words.startswith("| ") or COMMAND.match(line):
+        return line
+    indent = " " * (len(line) - len(words) + 4 * ("  " in words or "' = " in words or "[k+1] = " in words))
+    return textwrap.fill(line, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)

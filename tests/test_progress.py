@@ -1,6 +1,5 @@
 """A file gets few plain lines, a terminal bars that move; texts are as wide as the terminal."""
 
-import errno
 import io
 import os
 import re
@@ -18,21 +17,6 @@ class Screen(io.StringIO):
 
     def isatty(self):
         return True
-
-
-class Dead(io.StringIO):
-    """A file whose reader has left, such as a terminal that was closed."""
-
-    def __init__(self, front=False):
-        super().__init__()
-        self.front, self.tried = front, 0
-
-    def isatty(self):
-        return self.front
-
-    def write(self, text):
-        self.tried += 1
-        raise OSError(errno.EIO, "Input/output error")
 
 
 def replayed(raw, columns=100):
@@ -111,26 +95,6 @@ def test_a_short_phase_and_the_loading_say_nothing_to_a_file(clock, file):
     report_progress("planning")
     shown.__exit__(None, None, None)
     assert written.getvalue() == ""
-
-
-@pytest.mark.parametrize("front", [False, True])
-def test_a_terminal_that_is_closed_does_not_end_the_work(monkeypatch, front):
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr("dynasindy.progress.SHORT", 0.0)
-    monkeypatch.setattr(sys, "stderr", dead := Dead(front))
-    out = Dead(front) if front else io.StringIO()
-    monkeypatch.setattr(sys, "stdout", out)
-    with Progress() as shown:
-        for done in range(3):
-            report_progress("run", done, 3, "episodes", outer=True)
-            report_progress("fit")
-            report_progress("plan")
-            if front:
-                shown.display.refresh()
-            say("text")
-    assert dead.tried
-    assert front or out.getvalue() == "text\n" * 3
-    assert Progress.active is None
 
 
 @pytest.mark.parametrize("columns", [30, 100])
@@ -237,31 +201,21 @@ def test_a_row_of_a_table_stays_a_line_of_markdown(wrap):
 
 
 def test_a_command_is_one_line_that_can_be_copied_however_narrow_the_terminal(wrap):
-    command = "  dynasindy train system=xi 'plant.known={a:  # b}' train.episodes=3"
+    command = "  dynasindy train system=xi 'plant.known={a:  # b}' train.episodes=3  # flies more episodes"
     script = command.replace("dynasindy train", "PYTHONPATH='/home/my dir' python scripts/train.py")
-    why = "flies more episodes, whose data mend the model"
-    text = f"next:\n{command}  # {why}\n{script}  # short\na sentence that names dynasindy train is none"
+    text = f"next:\n{command}\n{script}\na sentence that names dynasindy train is none"
     found = wrap(text, 40).splitlines()
-    assert found[:2] == ["next:", command] and found[4:6] == [script, "    # short"]
-    assert [line[:6] for line in found[2:4]] == ["    # "] * 2  # so a shell takes no line of it for a command
-    assert " ".join(line[6:] for line in found[2:4]) == why
-    assert max(map(len, [*found[2:4], *found[6:]])) <= 40
-    assert wrap(text, 120) == text
+    assert found[:3] == ["next:", command, script] and max(map(len, found[3:])) <= 40
+    assert wrap(text, 140) == text
 
 
-def test_equations_end_between_terms_and_sentences_between_words(wrap):
+def test_equations_and_sentences_end_between_words(wrap):
     text = "  x' = 1.5 a - 2 sin(b + c) d + 1e-06 e^2\nOne sentence that is long\nshort"
     assert wrap(text, 20).splitlines() == [
-        "  x' = 1.5 a",
-        "      - 2 sin(b",  # the brackets alone are too long
-        "      + c) d",
-        "      + 1e-06 e^2",
+        "  x' = 1.5 a - 2",
+        "      sin(b + c) d +",
+        "      1e-06 e^2",
         "One sentence that is",
         "long",
         "short",
     ]
-    assert wrap(text, 30).splitlines()[:2] == ["  x' = 1.5 a - 2 sin(b + c) d", "       + 1e-06 e^2"]
-    assert all(len(line) <= 30 for line in wrap(text, 30).splitlines())
-    product = "x' = 15.81 sin(alpha) cos(alpha) Omega omega"  # one term, which is broken between its factors
-    lines = wrap(product, 20).splitlines()
-    assert " ".join(lines).split() == product.split() and max(map(len, lines)) <= 20
