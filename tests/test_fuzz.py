@@ -9,8 +9,6 @@ from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
-import pytest
-import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
@@ -18,7 +16,6 @@ from omegaconf import DictConfig, OmegaConf
 sys.path.append(str(Path(__file__).parents[1] / "scripts"))
 from cli import CONF
 from command import MENDABLE, in_words
-from saved_run import load_config, load_policy
 from settings import check
 
 from dynasindy.data.recording import LogReader
@@ -92,14 +89,6 @@ def build(cfg: DictConfig) -> None:
     Recipe(**parts, seed=cfg.seed).build()
 
 
-def build_identify(cfg: DictConfig) -> None:
-    check(cfg)
-    parts = {name: instantiate(cfg[name], _convert_="all") for name in ("data", "system", "excitation", "world_model")}
-    if parts["system"] is not None:
-        parts["world_model"](signature=parts["system"].signature)
-        parts["excitation"](n_u=parts["system"].signature.n_u)
-
-
 OPTIONS = (
     ("system=xi", "excitation=chirp", "planning=dyna"),
     ("system=trms33", "excitation=aprbs", "planning=nominal", "task=sine"),
@@ -131,15 +120,6 @@ def run_through(command: str, configs: list[DictConfig], number: int, use) -> li
 def test_settings_of_training() -> None:
     configs = [composed("train", *words) for words in OPTIONS]
     assert not run_through("train", configs, EACH["train"], build)
-
-
-def test_settings_of_the_other_commands(tmp_path: Path) -> None:
-    known = [
-        composed("identify", *words) for words in ((), ("data=csv", "data.path=x.csv"), ("world_model=sindy_paper",))
-    ]
-    assert not run_through("identify", known, EACH["identify"], build_identify)
-    others = [composed(command) for command in ("evaluate", "report", "ablation")]
-    assert not run_through("evaluate", others, EACH["files"], check)
 
 
 def test_logs(tmp_path: Path) -> None:
@@ -196,37 +176,4 @@ def test_models(tmp_path: Path) -> None:
         )
         if said and " is damaged (" not in said:  # which gives the reason of Python in brackets
             wrong.append(said)
-    assert not wrong
-
-
-@pytest.fixture(scope="module")
-def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("run")
-    cfg = composed("train", "experiment=smoke")
-    (folder / "config.yaml").write_text(OmegaConf.to_yaml(cfg, resolve=True))
-    policy = instantiate(cfg.agent, _convert_="all")(n_obs=8, n_u=2).deployed
-    torch.save(policy.state_dict(), folder / "policy.pt")
-    return folder
-
-
-def test_run_folders(run_folder: Path, tmp_path: Path) -> None:
-    rng, wrong = random.Random(2), []
-    contents = {name: (run_folder / name).read_bytes() for name in ("config.yaml", "policy.pt")}
-
-    def use() -> None:
-        config = load_config(tmp_path)
-        check(config, str(tmp_path / "config.yaml"))
-        load_policy(config, tmp_path)
-
-    for name in ["config.yaml"] * EACH["files"] + ["policy.pt"] * EACH["files"]:
-        for file, content in contents.items():
-            (tmp_path / file).write_bytes(content)
-        bad = bytearray(contents[name])
-        for _ in range(rng.randint(1, 5)):
-            start = rng.randrange(len(bad))
-            bad[start : start + rng.choice((1, 1, 9, len(bad)))] = rng.randbytes(rng.choice((0, 1, 3)))
-            bad = bad or bytearray(b" ")
-        (tmp_path / name).write_bytes(bytes(bad))
-        if said := judged(use, "evaluate", str(tmp_path)):
-            wrong.append(f"{name}: {said}")
     assert not wrong

@@ -25,29 +25,18 @@ def test_a_misspelt_option_of_any_group(refused, tmp_path, group):
     ("key", "given"),
     [
         ("seed", "x"),
-        ("threads", "1000000"),
         ("device", "tpu"),
         ("env.dt", "-0.05"),
-        ("env.substeps", "0"),
         ("agent.gamma", "1.5"),
-        ("planning.rollouts", "-5"),
         ("replay.capacity", "0"),
-        ("task.max_steps", "0"),
-        ("evaluation.every", "0"),
-        ("checkpoint.every", "-1"),
-        ("scenario.episodes", "0"),
-        ("excitation.amplitude", "0"),
         ("gate", "null"),
         ("excitation.duration", "nan"),
         ("agent.hidden", "400"),
         ("task.outputs", "[yaw,alpha_p]"),
         ("world_model.library", "nothing"),
-        ("system._target_", "no.such"),
         ("system._target_", "builtins.print"),
-        ("evaluation", "null"),
         ("folder", "[a]"),
         ("replay.batch_size", "20000"),
-        ("agent.noise_min", "0.5"),
         ("+scenario.windows", "[[1]]"),
         ("plant.rates", "[alpha_a,alpha_p]"),
         ("+plant.bounds", "{alpha_a: 0.01}"),
@@ -88,16 +77,12 @@ def test_words_that_cannot_be_read_or_name_no_plant_to_train_on(refused, tmp_pat
     [
         ([], "plant.outputs"),
         ([*TASK, "planning=dyna"], "planning"),
-        ([*TASK, "evaluation.within=0"], "evaluation.within"),
         ([*TASK, "env.dt=1e9"], "env.dt"),
         (["plant.outputs=[theta]", "plant.low=[-0.6]"], "plant.high"),
         (["plant.outputs=[thta]", *TASK[1:]], "'thta'"),
-        (["plant.outputs=[thta]"], "'thta'"),
         ([*TASK, "plant.start={omega: 0}"], "plant.start"),
         ([*TASK, "data.path=nowhere.csv"], "nowhere.csv"),
-        ([*TASK, "data.dt=-1"], "data.dt is -1"),
         ([*TASK, "system=pendulum", "model=model.json"], "model"),
-        (["-m", *TASK, "data.path=nowhere.csv", "seed=0,1"], "nowhere.csv"),
     ],
 )
 def test_what_is_missing_or_wrong_where_a_log_is_planned_from(refused, log, tmp_path, words, key):
@@ -111,21 +96,14 @@ def test_what_is_missing_or_wrong_where_a_log_is_planned_from(refused, log, tmp_
         ("identify", ["data=csv", "data.path=FILE"], "FILE"),
         ("identify", ["sensors=bench", "data=csv", "data.path=log.csv"], "sensors"),
         ("identify", ["system=tras", "plant.library=['1',u_a,'sinh(alpha_a)']", "excitation.duration=10000"], "'sinh'"),
-        ("identify", ["data=csv", "data.path=log.csv", "data.inputs=[]"], "data.inputs"),
         ("identify", ["data=csv", "data.path=log.csv", "data.states=[a,a]"], "data.states"),
         ("identify", ["system=pendulum", "horizons=[-1]"], "horizons"),
-        ("identify", ["system=pendulum", "env.dt=3"], "'env.dt'"),
-        ("identify", ["system=pendulum", "excitation.amplitude=0"], "excitation.amplitude"),
         ("identify", ["system=pendulum", "excitation=chirp", "excitation.band=[0,1e3]"], "excitation.band"),
-        ("identify", ["system=pendulum", "excitation=aprbs", "excitation.hold=1e6"], "excitation.hold"),
         ("identify", ["data=csv", "data.path=log.csv", "device=cuda"], "'device'"),
-        ("identify", ["system=pendulum", "planning=dyna"], "'planning'"),
         ("rig", ["system=pendulum", "planner=5"], "planner"),
         ("train", ["system=black_box"], "plant.low"),
-        ("evaluate", [], "run"),
         ("evaluate", ["run=nowhere", "scenarios=[]"], "scenarios"),
         ("evaluate", ["run=nowhere"], "nowhere"),
-        ("check", ["run=FOLDER"], "FOLDER"),
         ("export", ["run=PATH"], "PATH"),
         ("report", ["results=nowhere"], "nowhere"),
         ("table", [], "folder"),
@@ -142,9 +120,7 @@ def test_a_bad_setting_of_any_other_command(refused, tmp_path, name, words, key)
     [
         ("targets=[[1,2,3]]", "targets"),
         ("targets=[[30.0]]", "plant.low"),
-        ("seconds=-1", "seconds"),
         ("flights=0", "seconds"),
-        ("guard.late=-1", "late"),
         ("guard.low={thta: -1}", "'thta'"),
         ("planner={update: 100}", "'update'"),
         ("rig=udp rig.host=ADDRESS", "rig.host"),
@@ -187,18 +163,15 @@ LOG = ("data=csv", "data.path=log.csv")
         ("train", ("device=null",), "device"),
         ("train", ("env.dt=1000",), "env.dt"),
         ("train", ("plant.low=[0.5]", "plant.high=[-0.5]"), "high"),
-        ("train", ("+plant.bounds={theta: 0.5}", "+plant.start={theta: [1, 2]}"), "plant.start"),
         ("train", ("plant.bounds={theta: 0.5}", "plant.start={theta: [1, 2]}"), "plant.start has theta"),
         ("train", ("plant.bounds={Omega: [0.5, 2]}",), "plant.start has Omega"),
         ("train", ("+plant.strat={theta: 1}",), "'start'"),
-        ("train", ("plant.bouns={theta: 1}",), "'bounds'"),
         ("train", ("plant.amplitude=[0.8]", "plant.offset=[0.5]"), "plant.amplitude"),
         ("train", ("longest_delay=1e9",), "longest_delay"),
         ("identify", (*LOG, "data.states=[theta,u]", "data.inputs=[u]"), "data.states"),
         ("identify", (*LOG, "data.states={a: theta, b: theta}", "data.inputs=[u]"), "data.states"),
         ("identify", (*LOG, "data.states={theta: theta, Omega: {derivative_of: Omega}}"), "data.states"),
         ("identify", (*LOG, "plant.known={theta: theta}"), "plant.known"),
-        ("identify", (*LOG, "longest_delay=1e9"), "longest_delay"),
         ("identify", ("data=csv", "data.path=tiny.csv"), "'theta'"),
     ],
 )
@@ -255,9 +228,7 @@ plant: {outputs: [p], rates: [v], low: [-0.5], high: [0.5], library: polynomial,
     ("fault", "key"),
     [
         ("{}['mass']", "KeyError"),
-        ("next(iter(()))", "StopIteration"),
         ("raise SystemExit(3)", "SystemExit"),
-        ("raise MemoryError", "MemoryError"),
         ("torch.set_default_dtype(torch.float64)", "set_default_dtype"),
     ],
 )
@@ -282,8 +253,8 @@ import numpy as np
 from gymnasium.spaces import Box
 
 class Mass(gymnasium.Env):
-    def __init__(self, low=-1.0, high=1.0, nan=False, values=5):
-        self.action_space = Box(np.full(1, low, np.float32), np.full(1, high, np.float32))
+    def __init__(self, low=-1.0, nan=False, values=5):
+        self.action_space = Box(np.full(1, low, np.float32), np.ones(1, np.float32))
         self.observation_space = Box(-10.0, 10.0, (2,))
         self.nan, self.values = nan, values
 
@@ -299,8 +270,7 @@ class Mass(gymnasium.Env):
             self.x[1] = np.nan
         return (self.x.copy(), 0.0, False, False, {})[: self.values]
 
-for name, options in {"Nan": {"nan": True}, "Four": {"values": 4}, "Same": {"low": 1.0},
-                      "Endless": {"low": -np.inf, "high": np.inf}}.items():
+for name, options in {"Nan": {"nan": True}, "Four": {"values": 4}, "Same": {"low": 1.0}}.items():
     gymnasium.register(f"{name}-v0", entry_point=Mass, kwargs=options, disable_env_checker=True)
 """
 
@@ -311,7 +281,6 @@ for name, options in {"Nan": {"nan": True}, "Four": {"values": 4}, "Same": {"low
         ("Nan", ("step 21", "component 1", "'v'")),
         ("Four", ("step", "five values")),
         ("Same", ("action_space", "low")),
-        ("Endless", ("action_space", "finite ends")),
     ],
 )
 def test_an_environment_of_gymnasium_that_misbehaves(command, tmp_path, monkeypatch, kind, keys):

@@ -104,9 +104,7 @@ def targets(canary: Path) -> dict[str, dict[str, object]]:
         "os.system": {"command": f"touch {canary}"},
         "builtins.eval": {"_args_": [touch]},
         "joblib.load": {"filename": str(pickled)},
-        "torch.load": {"f": str(pickled), "weights_only": False},
         "hydra.utils.call": {"config": {"x": 1}},
-        "hydra.utils.get_method": {"path": "os.system"},
         "dynasindy.safe_io.os.system": {"command": f"touch {canary}"},
         "dynasindy.dyna.folder.torch.load": {"f": str(pickled), "weights_only": False},
         "dynasindy.safe_io.write_rows": {"path": str(canary), "columns": ["a"], "rows": []},
@@ -119,35 +117,23 @@ def targets(canary: Path) -> dict[str, dict[str, object]]:
     }
 
 
-NAMES = list(targets(Path("/x")))
-
-
 PLACES = ["system", "plant.low", "unused.deep.down"]
 
 
-@pytest.mark.parametrize(("target", "where"), [(name, PLACES[k % 3]) for k, name in enumerate(NAMES)])
+@pytest.mark.parametrize(("target", "where"), [(name, PLACES[k % 3]) for k, name in enumerate(targets(Path("/x")))])
 def test_a_target_that_is_no_part_is_neither_built_nor_looked_up(read, run, canary, target, where):
     joblib.dump(Touch(canary), canary.with_name("pickled"))
     change(run, where, {"_target_": target, **targets(canary)[target]})
     assert "config.yaml" in read() and not canary.exists()
 
 
-def test_a_command_refuses_what_its_reader_refuses(evaluated, run, canary):
-    change(run, "system", {"_target_": "os.system", "command": f"touch {canary}"})
-    assert "config.yaml" in evaluated() and not canary.exists()
-
-
 @pytest.mark.parametrize(
     "node",
     [
-        {"_target_": ["os", "system"]},
         {"_target_": {"_target_": "os.system"}},
         {"_target_": "dynasindy.systems.Tras", "_args_": [1]},
         {"_target_": "dynasindy.systems.Tras", "_partial_": "yes"},
-        {"_target_": "dynasindy.systems.Tras", "_recursive_": False},
-        {"_target_": "dynasindy..systems.Tras"},
         {"_target_": "dynasindy.systems.Tras\nos.system"},
-        {"_target_": " os.system"},
         {"_target_": "dynasindy.systems.nothing"},
         {"_target_": "hydra.utils.get_object", "path": "torch.load"},
         {"_target_": "hydra.utils.get_object", "path": "torch.float64.__class__"},
@@ -263,43 +249,21 @@ def hostile_weights(kind: str, file: Path, canary: Path) -> None:
         file.write_bytes(pickle.dumps(Touch(canary)))
     elif kind == "pickle in torch":
         torch.save({**weights, name: Touch(canary)}, file)
-    elif kind == "old format":
-        torch.save({name: Touch(canary)}, file, _use_new_zipfile_serialization=False)
     elif kind == "bomb":
         with zipfile.ZipFile(file, "a", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr("archive/data/99", bytes(50_000_000))
     elif kind == "stretched":
         torch.save({**weights, name: torch.zeros(1).expand(10**6, 10**6)}, file)
-    elif kind == "sparse":
-        torch.save({**weights, name: weights[name].to_sparse()}, file)
-    elif kind == "no tensors":
-        torch.save({name: 1, 2: "x"}, file)
     elif kind == "a list":
         torch.save([1, 2], file)
     elif kind == "not finite":
         torch.save({**weights, name: weights[name] * math.nan}, file)
-    elif kind == "cut":
-        file.write_bytes(file.read_bytes()[:1000])
 
 
-KINDS = ("pickle", "pickle in torch", "old format", "bomb", "stretched", "sparse", "no tensors", "a list", "not finite")
-
-
-@pytest.mark.parametrize("kind", [*KINDS, "cut"])
+@pytest.mark.parametrize("kind", ["pickle", "pickle in torch", "bomb", "stretched", "a list", "not finite"])
 def test_weights_are_weights(read, run, canary, kind):
     hostile_weights(kind, run / "policy.pt", canary)
     assert "policy.pt" in read() and not canary.exists()
-
-
-@pytest.mark.parametrize("name", ["evaluation", "evaluation/step.json", "evaluation/step.csv"])
-def test_results_are_not_written_through_links(evaluated, run, tmp_path, name):
-    mine = tmp_path / "mine"
-    mine.mkdir()
-    (mine / "notes.txt").write_text("untouched")
-    (run / name).parent.mkdir(exist_ok=True)
-    (run / name).symlink_to(mine if name == "evaluation" else mine / "notes.txt")
-    assert name in evaluated()
-    assert [(file.name, file.read_text()) for file in mine.iterdir()] == [("notes.txt", "untouched")]
 
 
 @pytest.mark.parametrize("name", ["../../x", "/etc/passwd"])
@@ -318,9 +282,3 @@ def test_metrics_that_are_damaged_are_named(run, refused, tmp_path, content):
     else:
         (run / "metrics.json").write_bytes(content)
     assert "metrics.json" in refused("table", str(run.parent), cwd=tmp_path)
-
-
-def test_a_config_in_a_loop_of_links_is_none(read, run):
-    (run / "config.yaml").unlink()
-    (run / "config.yaml").symlink_to("config.yaml")
-    assert "config.yaml" in read()

@@ -83,14 +83,6 @@ def test_planning_by_gradient_controls_a_pendulum_in_seconds(command, tmp_path):
     assert final_errors(tmp_path / "run", Pendulum(), np.array([0.4]))[0] < 0.03
 
 
-def test_it_starts_in_a_process_of_its_own(tmp_path):
-    """Which imports all that it needs, as that of a user, and finds a mistake before anything moves."""
-    words = [sys.executable, str(ROOT / "scripts" / "train.py"), "env.dt=-0.05"]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "dt" in done.stderr
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.slow
 def test_a_run_is_the_same_whatever_the_order_of_words_in_a_set(tmp_path):
     kept = []

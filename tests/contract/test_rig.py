@@ -3,13 +3,9 @@
 import csv
 import math
 import shlex
-import signal
 import socket
 import struct
-import subprocess
-import sys
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
@@ -174,18 +170,6 @@ def test_the_command_flies_a_saved_controller_and_its_code_says_how_it_ended(com
 
 def names():
     return dynasindy.load(TRAS).signature.state_names
-
-
-@pytest.mark.slow
-def test_ctrl_c_leaves_the_logs(tmp_path):
-    words = [sys.executable, str(ROOT / "scripts" / "rig.py"), "system=pendulum", "folder=run", "guard.late=50"]
-    flying = subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while not list(tmp_path.rglob("excitation.csv")) and flying.poll() is None:
-        time.sleep(0.01)
-    flying.send_signal(signal.SIGINT)
-    _, error = flying.communicate(timeout=100)
-    assert flying.returncode == 130 and "Traceback" not in error
-    assert len(rows(tmp_path / "run" / "excitation.csv")) < 202
 
 
 @pytest.mark.slow

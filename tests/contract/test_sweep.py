@@ -67,12 +67,6 @@ def test_what_all_jobs_share_is_checked_before_the_first(refused, tmp_path):
     assert (tmp_path / "results" / "ablation.csv").read_text() == "\n"
 
 
-def test_what_differs_between_jobs_is_left_to_each(command, tmp_path):
-    box = ("plant.outputs=[alpha_a,omega_a]", "plant.low=[-1,-1]", "plant.high=[1,1]")
-    done = command("train", "-m", "system=tras", *box, "plant.rates=[Omega_a],[Omega_p]", cwd=tmp_path)
-    assert done.code == 2 and len(list(tmp_path.rglob("error.txt"))) == 2 and not jobs(tmp_path)
-
-
 def test_jobs_that_all_fail_leave_no_tables(command, tmp_path):
     words = ("hydra/launcher=basic", "agent.critics=1,0", "setting=direct", "seed=1,2")
     done = command("ablation", *ABLATION, *words, cwd=tmp_path)
@@ -95,21 +89,6 @@ def test_an_interrupted_ablation_goes_on_and_ends_with_tables_and_figures(comman
     assert rows(tmp_path) == [("direct", "1"), ("rollouts_400", "1")]
     assert (tmp_path / "results" / "average_rewards_xi_smoke.png").is_file()
     assert (tmp_path / "results" / "ablation.md").is_file()
-
-
-@pytest.mark.slow
-def test_a_finished_run_of_other_settings_stays_untouched_and_the_refusal_lies_beside_it(command, tmp_path):
-    folder = tmp_path / "runs" / "ablation" / "xi" / "smoke" / "direct" / "seed_1"
-    folder.mkdir(parents=True)
-    (folder / "config.yaml").write_text("system:\n  mass: 25.0\n")
-    (folder / "metrics.json").write_text('{"seed": 1}')
-    before = {file.name: (file.read_bytes(), file.stat().st_mtime_ns) for file in folder.iterdir()}
-    words = ("experiment=smoke", "system=xi", "setting=direct", "seed=1", "results=results", "hydra/launcher=basic")
-    for _ in range(2):  # the line of an earlier command does not hide that of the next
-        done = command("ablation", *words, cwd=tmp_path)
-        assert {file.name: (file.read_bytes(), file.stat().st_mtime_ns) for file in folder.iterdir()} == before
-        assert done.code == 2 and "direct/seed_1.error.txt" in done.err
-    assert folder.with_name("seed_1.error.txt").read_text().startswith("error: ")
 
 
 def workers(folder):

@@ -75,15 +75,6 @@ def test_the_main_figures_join_what_the_run_has_written_and_leave_it_as_it_is(tm
     assert json.loads(kept.read_text())["check"] == told
 
 
-def test_a_run_of_damaged_figures_is_refused_before_anything_is_written(tmp_path):
-    run_folder(tmp_path / "run", 2.0)
-    (tmp_path / "run" / "config.yaml").write_text("plant: {low: [-0.1], high: [0.1]}\n")
-    (tmp_path / "run" / "metrics.json").write_text("{")
-    done = called(tmp_path, *SMALL)
-    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
-    assert not list((tmp_path / "run").rglob("check.json"))
-
-
 def test_steps_begin_where_the_run_says_that_episodes_do(tmp_path):
     run_folder(tmp_path / "run", 2.0)
     words = "low: [-0.1], high: [0.1], start: {p: [0.02, 0.06]}, bounds: {p: 1.0, v: [-2.0, 2.0]}"

@@ -3,7 +3,6 @@
 import json
 import math
 import os
-import random
 import re
 import shlex
 import subprocess
@@ -18,7 +17,7 @@ import yaml
 from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import Aprbs
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Pendulum, Tras
+from dynasindy.systems import Pendulum
 
 REPOSITORY = Path(__file__).parents[2]
 QUICK = "world_model.refinement.method=one_step"
@@ -47,16 +46,6 @@ def test_the_pendulum_is_identified_and_everything_written(tmp_path):
     } <= names
     assert {"training_data.png", "prediction.png"} <= names
     assert max(json.loads((tmp_path / "run/metrics.json").read_text())["open_loop_nrmse"].values()) < 1e-4
-
-
-def test_a_log_of_which_nothing_is_kept_back_is_identified_without_a_prediction(tmp_path):
-    rows = [f"{0.1 * k},{math.sin(0.1 * k)},{math.sin(0.1 * k) + math.cos(0.1 * k)}" for k in range(80)]
-    (tmp_path / "log.csv").write_text("\n".join(["time,x,u", *rows]))
-    log = (f"data.path={tmp_path}/log.csv", "data.inputs={u: {name: u, low: -2, high: 2}}")
-    done = _run(tmp_path / "run", "data=csv", *log, "data.validation_share=0", QUICK)
-    assert done.returncode == 0, done.stderr
-    names = {p.name for p in (tmp_path / "run").iterdir()}
-    assert {"model.json", "training_data.png"} <= names and "prediction.png" not in names
 
 
 IDENTIFIED = """
@@ -116,31 +105,6 @@ def test_what_is_said_to_come_next_runs_as_it_stands_and_has_all_that_was_given(
     assert (tmp_path / "run" / "controller.json").is_file()
 
 
-def test_a_file_without_a_column_costs_one_line(tmp_path):
-    (tmp_path / "log.csv").write_text("time,alpha_a\n0,1\n")
-    done = _run(tmp_path / "run", "data=csv", "system=tras", f"data.path={tmp_path / 'log.csv'}")
-    assert done.returncode == 2
-    assert done.stderr.strip().count("\n") == 0
-    assert "'alpha_p'" in done.stderr
-
-
-def test_a_log_of_an_unknown_plant_needs_no_file_of_its_own(tmp_path):
-    generator, dt = random.Random(0), 0.01
-    position, rate, u, lines = 0.5, 0.0, 0.0, ["time [s],position [m],rate [m/s],u"]
-    for k in range(400):
-        u = generator.uniform(-1, 1) if k % 20 == 0 else u
-        lines.append(f"{k * dt},{position!r},{rate!r},{u!r}")
-        for _ in range(100):  # position' = rate, rate' = -4 position - rate + 3 u
-            position, rate = position + dt / 100 * rate, rate + dt / 100 * (-4 * position - rate + 3 * u)
-    (tmp_path / "log.csv").write_text("\n".join(lines))
-    done = _run(tmp_path / "run", "data=csv", f"data.path={tmp_path / 'log.csv'}")
-    assert done.returncode == 0, done.stderr
-    signature = json.loads((tmp_path / "run/model.json").read_text())["signature"]
-    assert signature["state_names"] == ["position", "rate"] and signature["state_units"] == ["m", "m/s"]
-    found = json.loads((tmp_path / "run/model.json").read_text())["coefficients"]["rate"]
-    assert [found[name] for name in ("position", "rate", "u")] == pytest.approx([-4, -1, 3], rel=0.02)
-
-
 def test_ends_of_actuators_that_are_guessed_are_said_until_they_are_given(tmp_path, write_log):
     """A valve that was opened by 10 to 87 %, and a fan between 0.1 and 0.6 of what it can."""
     share = torch.rand(60, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
@@ -159,22 +123,6 @@ def test_ends_of_actuators_that_are_guessed_are_said_until_they_are_given(tmp_pa
     second = _run(tmp_path / "second", *words)
     assert f"'{word}'" not in second.stdout.partition("next:\n")[0], "they are given now"
     assert word in shlex.split(second.stdout.partition("next:\n")[2], comments=True)
-
-
-def test_a_table_with_the_headings_of_a_run_is_a_log(tmp_path):
-    signature, generator = Tras().signature, torch.Generator().manual_seed(0)
-    u = 0.3 * torch.randn(40, 2, generator=generator).repeat_interleave(5, 0)
-    data = record_plant(Tras(), u, dt=0.05, substeps=20)
-    units = {"time": "s", **dict(zip(signature.state_names, signature.state_units)), "u_a": "-", "u_p": "-"}
-    rows = torch.cat((0.05 * torch.arange(len(data)).unsqueeze(1), data.x, data.u), 1).tolist()
-    lines = [",".join(f"{number:.9g}" for number in (*row, 0.4)) for row in rows]
-    heading = ",".join([*(f"{name} [{unit}]" for name, unit in units.items()), "reference_alpha_a [rad]"])
-    (tmp_path / "excitation.csv").write_text("\n".join([heading, *lines]))
-    done = _run(tmp_path / "run", "system=tras", "data=csv", f"data.path={tmp_path / 'excitation.csv'}", QUICK)
-    assert done.returncode == 0, done.stderr
-    model = json.loads((tmp_path / "run/model.json").read_text())
-    assert tuple(model["signature"]["state_names"]) == signature.state_names
-    assert "alpha_a' = Omega_a" in done.stdout and "does not predict" not in done.stdout
 
 
 def test_a_rate_that_the_tool_named_may_be_named_in_a_library(tmp_path, write_log):

@@ -4,13 +4,6 @@ import forked
 import pytest
 
 
-def test_what_lies_in_a_folder_of_runs_stays(tmp_path):
-    (tmp_path / "runs" / "before").mkdir(parents=True)
-    done = forked.call("identify", "data=csv", "data.path=nowhere.csv", cwd=tmp_path)
-    assert done.returncode == 2 and "nowhere.csv" in done.stderr
-    assert [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("*"))] == ["runs", "runs/before"]
-
-
 @pytest.mark.parametrize(
     ("words", "said", "before"),
     [

@@ -1,6 +1,5 @@
 """What is said to do next: commands that a shell takes as they are, and that fit what came of a run."""
 
-import os
 import shlex
 import sys
 from pathlib import Path
@@ -84,11 +83,3 @@ def test_a_plan_from_a_log_that_does_not_hold_is_offered_what_the_log_lacks(impr
     assert read(alone) == read(identify)
     (_, alone) = improvements("a", ["system=xi", "seed=3"], 1, lacking=True).split("\n")
     assert read(alone) == ["python", "scripts/identify.py", "system=xi"]
-
-
-def test_the_command_that_builds_parts_of_the_users_own_names_their_packages_and_where_they_lie(steps, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", f"{ROOT / 'scripts'}{os.pathsep}my parts")
-    (evaluate,) = steps.run_steps("a run", "evaluate", plugins=("plugins=[wheel,mine]",))
-    assert read(evaluate)[0] == "PYTHONPATH=my parts" and read(evaluate)[-2:] == ["run=a run", "plugins=[wheel,mine]"]
-    (plain,) = steps.run_steps("a run", "evaluate")
-    assert read(plain)[0] == "python"

@@ -19,16 +19,6 @@ def test_a_group_without_a_file_is_told_and_not_the_file_of_a_user(tmp_path):
     assert done.returncode == 2 and "'null'" in done.stderr and "'sensors'" in done.stderr
 
 
-def test_a_sweep_needs_no_task_with_targets_and_each_of_its_jobs_leaves_its_own_line(tmp_path):
-    jobs = tmp_path / "sweep"
-    words = ("-m", "experiment=smoke", "task=own", "excitation.duration=90", f"hydra.sweep.dir={jobs}", "seed=0,1")
-    done = run(*words, cwd=tmp_path)
-    lines = [file.read_text() for file in jobs.rglob("error.txt")]
-    assert done.returncode == 2 and "2 jobs failed" in done.stderr, done.stderr
-    said = "error: an excitation of 90 s does not fit"  # what is found next, before any work
-    assert len(lines) == 2 and all(line.startswith(said) and line.count("\n") == 1 for line in lines)
-
-
 def test_several_values_without_a_sweep_say_how_to_ask_for_one(tmp_path):
     done = run("experiment=smoke", "seed=0,1", cwd=tmp_path)
     assert done.returncode == 2 and done.stdout == ""
