@@ -176,13 +176,6 @@ def test_a_reset_forgets_everything_and_what_is_no_number_changes_nothing(pendul
 
 
 @needs_compiler
-def test_without_an_observer_every_state_has_to_be_a_number(pendulum):
-    native = Native(controller_sources(pendulum(observer=False)))
-    with pytest.raises(ValueError, match="not finite"):
-        native.act([0.1, math.nan], [0.3])
-
-
-@needs_compiler
 def test_a_model_that_explodes_leaves_a_finite_input(pendulum):
     controller = pendulum(delay=0.07)
     controller.observer.stops = Stops((0,), (1,), (-0.6,), (math.inf,))
@@ -193,19 +186,6 @@ def test_a_model_that_explodes_leaves_a_finite_input(pendulum):
     found = [native.act([0.4 * math.sin(k), math.nan], [0.3])[0] for k in range(30)]
     assert np.isfinite(found).all()
     np.testing.assert_allclose(found[:3], expected, atol=1e-6)
-
-
-@needs_compiler
-def test_outputs_of_one_unit_have_each_their_own_box_after_save_and_load(tmp_path):
-    signature = Signature(("a", "b"), ("m", "m"), ("u", "v"), (3.0, 0.5))
-    task = Tracking(signature, Step([[0.0, 0.0]]), ("a", "b"), (), low=[0.0, 0.0], high=[0.0, 0.0])
-    policy = actor(task.n_o, 2, (4,)).requires_grad_(False)
-    for layer, weight in zip(policy.module.layers(), (torch.eye(4), torch.eye(4)[2:]), strict=True):
-        layer.weight.copy_(weight)  # u = tanh(error / (0.5 box)) for errors > 0
-        layer.bias.zero_()
-    save(Controller(policy, ControlSetup(task, 0.1)), tmp_path / "controller.json")
-    found = Native(controller_sources(load(tmp_path))).act([0.0, 0.0], [0.3, 0.2])
-    np.testing.assert_allclose(found, [math.tanh(0.3 / 1.5), math.tanh(0.2 / 0.25)], atol=1e-6)
 
 
 WATCHED = ("-O1", "-std=c99", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -260,17 +240,6 @@ def test_names_of_a_file_become_no_code(pendulum, hostile):
     Native(sources)
 
 
-def test_the_header_tells_the_targets_of_the_plan_where_they_are_known():
-    signature = Signature(("h", "v"), ("cm", "cm/s"), ("pump",), (30.0, 5.0))
-    for ends, line in (
-        ({"low": [8.0], "high": [25.0]}, "r: references, planned for h from 8 to 25 cm"),
-        ({}, "r: references"),
-    ):
-        task = Tracking(signature, Step([[9.0]]), ("h",), ("v",), TrackingReward((1.0,)), **ends)
-        controller = Controller(actor(task.n_o, 1, (4,)).requires_grad_(False), ControlSetup(task, 0.1))
-        assert f" * {line}\n" in controller_sources(controller).header
-
-
 GLITCHES = (1e6, -1e38, 1e60, -1e150, 1e155, 1e160, 1e308, math.inf, -math.inf, math.nan)
 
 
@@ -315,19 +284,6 @@ def test_broken_samples_are_answered_as_in_python_call_by_call(pendulum, oven, r
     refused = [bool(np.isinf(y).any()) for y in readings]
     assert [u is None for u in expected] == refused == [u is None for u in found]
     assert all(np.allclose(a, b, atol=1e-6) for a, b in zip(expected, found, strict=True) if a is not None)
-
-
-@needs_compiler
-@pytest.mark.parametrize("glitch", [1e2, 1e60, 1e307])
-def test_one_broken_sample_moves_an_input_no_more_than_a_lost_one(pendulum, glitch):
-    native = Native(controller_sources(pendulum(disturbance=False)))
-
-    def swing(broken):
-        native.reset()
-        readings = [[broken if k == 30 else 0.2 * math.sin(0.1 * k), math.nan] for k in range(60)]
-        return np.array(answers(native.act, readings, [0.1]))
-
-    assert np.abs(swing(glitch) - swing(math.nan)).max() < 0.02
 
 
 @needs_compiler

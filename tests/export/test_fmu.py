@@ -214,6 +214,3 @@ def test_a_plant_in_discrete_time_moves_by_whole_steps_alone(tmp_path, version, 
         assert plant.get("x_x1") == pytest.approx([x], abs=1e-12)
     assert plant.step(now, 0.05) == ERROR and plant.step(now, 0.15) == ERROR
     assert plant.get("x_x1") == pytest.approx([x], abs=1e-12)
-
-
-"""Functions in the headers of the standards; of FMI 2 those for model exchange alone are left out, as it allows."""

@@ -2,8 +2,6 @@
 
 import importlib.util
 import math
-import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -85,39 +83,12 @@ def test_a_store_that_nobody_measures_begins_at_80_degrees_as_in_python(oven, pu
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
-def test_broken_samples_are_answered_as_in_python_call_by_call(pendulum, tmp_path):
-    controller = pendulum(integral={"gain": 3.0}, **SHORT)
-    readings, u = flights_in_c.glitched(controller, 0), np.zeros(1)
-    expected = flights_in_c.answers(flights_in_c.by_torch(controller).act, readings, [0.1])
-    step = written(controller, tmp_path)
-    for y, answer in zip(readings, expected, strict=True):
-        u = u if answer is None else answer  # a call that is refused returns what the one before did
-        np.testing.assert_allclose(step.act(y, [0.1], [0.0]), u, atol=1e-6)
-
-
-def test_what_is_no_number_changes_nothing(pendulum, tmp_path):
-    step = written(pendulum(**SHORT), tmp_path)
-    first = step.act([0.1, math.nan], [0.2], [0.0])
-    before = step.state.copy()
-    assert step.act([0.1, math.nan], [math.nan], [0.0]).tolist() == first.tolist()
-    assert np.array_equal(step.state, before)
-    second = step.act([0.1, math.nan], [0.2], [0.0])
-    assert second != first and not np.array_equal(step.state, before)
-
-
 def test_the_file_says_what_goes_in_and_comes_out(pendulum, tmp_path):
     told = written(pendulum(**SHORT), tmp_path).session.get_modelmeta().custom_metadata_map
     assert (told["reference"], told["measurement"], told["period"]) == ("theta", "theta, Omega", "0.04 s")
     # 1 input, 3 states with 9 covariances, two inputs more than the one period of delay, 3 of the shift
     assert "units of u" not in told
     assert told["state"] == f"{1 + 3 + 9 + 3 + 3} numbers, zeros at the start"
-
-
-def test_the_file_says_what_inputs_are_in_their_own_unit(pendulum, tmp_path):
-    """Of 0 to 12 V, zero is 6 V."""
-    volts = replace(Pendulum().signature, input_ends=((0, 12),))
-    told = written(pendulum(observer=False, signature=volts), tmp_path).session.get_modelmeta().custom_metadata_map
-    assert told["units of u"].startswith("the plant's u is 6 + 6 times the controller's")
 
 
 def test_each_call_is_that_of_python_also_where_samples_are_lost_or_wild_or_no_action_follows(pendulum, tmp_path):
@@ -153,10 +124,3 @@ def test_onnxruntime_acts_as_the_policy(pendulum, tmp_path):
     assert told["action"] == "u" and told["observation"] == (
         "theta / 1.5, Omega / 3.0, (theta wanted - theta) / 0.7, rate of theta wanted / 1.4"
     )
-
-
-def test_without_onnx_one_line_says_what_to_install(pendulum, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(ModuleNotFoundError, match=r"'dynasindy\[export\]'"):
-        policy_onnx(pendulum(), tmp_path / "p.onnx")
-    assert not list(tmp_path.iterdir())

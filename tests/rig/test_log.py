@@ -23,20 +23,6 @@ def test_rows_are_in_the_file_as_soon_as_they_are_added(tmp_path):
     assert path.read_text().splitlines()[2] == "0.100000,,0.5"
 
 
-def test_an_error_leaves_the_rows(tmp_path):
-    log = Log(tmp_path / "log.csv", WIRING)
-
-    def fly():
-        with closing(log):
-            log.add(0.0, np.array([0.0, 1.0]), np.array([0.0]))
-            raise RuntimeError
-
-    with pytest.raises(RuntimeError):
-        fly()
-    assert len((tmp_path / "log.csv").read_text().splitlines()) == 2
-    assert log._file.closed
-
-
 SIGNATURE = Signature(("theta", "level"), ("rad", "m"), ("u",), (1.0, 1.0))
 LOG = """time [s],theta [rad],u [-]
 0.0,5.0,0.1

@@ -21,14 +21,6 @@ def by_hand(x, inputs, dt):
     return x
 
 
-def test_time_passes_only_while_somebody_waits():
-    clock = FastClock()
-    clock.sleep(0.5)
-    clock.sleep(-3.0)
-    clock.sleep(0.25)
-    assert clock.monotonic() == 0.75
-
-
 def test_the_plant_moves_under_the_inputs_of_each_span_of_time():
     clock = FastClock()
     rig = SimulatedRig(Pendulum(), clock=clock)
