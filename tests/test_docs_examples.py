@@ -65,29 +65,6 @@ def test_the_command_that_tests_a_plant_of_ones_own_passes(extended, tmp_path):
     assert re.search(r"^\d+ passed(?!, \d+ skipped)", printed, re.M)
 
 
-@pytest.mark.parametrize(("source", "functions"), [("simulated", 15), ("logged", 6)])
-def test_a_log_gets_the_library_of_the_page_for_logs(extended, source, functions, tmp_path):
-    # Monomials of three states and one input up to the second degree are 1 + 4 + 10.
-    (block,) = re.findall(r"```yaml\nplant:\n(  library: .*?)```", PAGE, re.S)
-    file = (extended / "conf/system/servo.yaml").read_text()
-    assert "  library: polynomial\n" in file
-    shutil.copytree(extended / "conf", tmp_path / "conf")
-    (tmp_path / "conf/system/servo.yaml").write_text(file.replace("  library: polynomial\n", block))
-    chosen = ["data=csv", "data.path=log.csv"] if source == "logged" else []
-    printed = run(
-        extended,
-        "-c",
-        "import sys, hydra, hydra.utils\n"
-        f"with hydra.initialize_config_dir({str(tmp_path / 'conf')!r}, version_base='1.3'):\n"
-        "    cfg = hydra.compose('identify', ['system=servo', *sys.argv[1:]])\n"
-        "plant = hydra.utils.instantiate(cfg.system)\n"
-        "model = hydra.utils.instantiate(cfg.world_model, _convert_='all')(signature=plant.signature)\n"
-        "print(len(model.library), 'tanh(10 Omega)' in model.library.names)",
-        *chosen,
-    )
-    assert printed.split() == [str(functions), str(source == "logged")]
-
-
 def test_the_reward_and_the_agent_of_the_page_are_made_by_the_words_of_a_command(extended):
     (words,) = re.findall(r"^    python scripts/train\.py (system=servo task\.reward.*)$", LINES, re.M)
     printed = run(
@@ -130,14 +107,6 @@ def test_the_scenario_of_the_page_pushes_the_plant_when_it_says(extended, tmp_pa
     rate = (gust[: len(step)] - step)[:, 2]
     # Half a second of 5 rad/s^2, held back by the voltage that the motor itself makes.
     assert 0.1 < rate[np.isclose(step[:, 0], 6.5)].item() < 2.5
-
-
-@pytest.mark.slow
-def test_the_command_of_the_page_trains(extended):
-    folder = extended / "run"
-    printed = run(extended, *COMMANDS[0].split(), "experiment=smoke", f"hydra.run.dir={folder}")
-    assert "theta' = " in printed
-    assert '"linear"' in (folder / "model.json").read_text()
 
 
 @pytest.mark.slow

@@ -150,28 +150,6 @@ def test_what_a_check_says_is_coloured_and_words_inside_are_not(monkeypatch):
     assert screen.getvalue().count("\x1b[32mok\x1b[0m") == screen.getvalue().count("\x1b[1;33mWEAK\x1b[0m") == 1
 
 
-def test_lines_on_standard_error_end_between_words(monkeypatch):
-    text = " ".join(["/a/path/that/is/long", "of", "words"] * 5)
-    assert fit_stderr(text) == text
-    screen = in_front(monkeypatch, 24)
-    assert fit_stderr(text).split() == text.split()
-    assert max(map(len, fit_stderr(text).splitlines())) <= 24
-    monkeypatch.setattr("dynasindy.progress.SHORT", 0.0)
-    with Progress():
-        report_progress(text)
-        report_progress("next")
-    assert " ".join(replayed(screen.getvalue(), 24)).startswith(f"{text}: 0 s")
-
-
-def test_what_is_told_is_heard_inside_and_nobody_misses_it_outside():
-    heard = []
-    report_progress("before")
-    with listening(heard.append):
-        report_progress("fit", 2, 5, "steps", "slowly")
-    report_progress("after")
-    assert heard == [Event("fit", 2, 5, "steps", "slowly")]
-
-
 def test_what_the_parts_of_a_phase_tell_is_told_of_it_until_it_ends_or_fails():
     heard = []
     with listening(heard.append):
@@ -193,11 +171,6 @@ def wrap(monkeypatch):
         return fit_stderr(text)
 
     return _wrap
-
-
-def test_a_row_of_a_table_stays_a_line_of_markdown(wrap):
-    row = "| setting | 2.5 [1, 3] | a commit that is long |"
-    assert wrap(row, 20) == row
 
 
 def test_a_command_is_one_line_that_can_be_copied_however_narrow_the_terminal(wrap):

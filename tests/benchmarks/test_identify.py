@@ -34,12 +34,6 @@ def test_rows_without_noise_give_the_plant_and_those_of_other_cases_stay_in_the_
         assert float(values[case, "worst relative coefficient error"]) < goal
 
 
-@pytest.mark.slow
-def test_the_rotor_model_of_tras_predicts_episodes():
-    rows = identify.tras(1)
-    assert float(rows[0]["value"]) < 2.0
-
-
 def test_the_slope_of_a_line_is_known_as_well_as_least_squares_can():
     # y' = 3: a line through 121 samples whose start is unknown; the error of its slope is sigma / |t - mean of t|.
     library = Library(Signature(("y",), ("-",), ("u",), (1.0,)), [CONSTANT, variable("y")])
@@ -78,16 +72,6 @@ def test_the_systems_are_the_published_ones(name):
     names, states, truth = case.library().names, case.plant.signature.state_names, case.truth()
     found = {(names[k], states[i]): float(truth[k, i]) for k, i in truth.nonzero().tolist()}
     assert found == pytest.approx(TRUE[name])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["lorenz"])
-def test_ten_percent_of_noise_leave_the_terms_and_the_bound(name):
-    rows = {row["measure"]: row["value"] for row in identify.textbook(TEXTBOOK[name], 1)}
-    for level in (1, 10):
-        assert rows[f"noise {level} %: seeds with all terms and 0 false"] == "1 of 1"
-        median = rows[f"noise {level} %: rms error / Cramer-Rao bound, median and worst seed"].partition(",")[0]
-        assert 0.2 < float(median) < 2
 
 
 def test_rows_for_pysindy_obey_the_equations():

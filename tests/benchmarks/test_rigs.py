@@ -7,10 +7,10 @@ import pytest
 import torch
 from benchmark import parse
 from benchmarks import rigs
-from benchmarks.opponents import FIRST, Arx, HeatedBodies, Held, InverseDynamics, Log, StateSpace, choose
+from benchmarks.opponents import Arx, HeatedBodies, Held, InverseDynamics, Log, StateSpace, choose
 from benchmarks.pysindy_regression import pysindy_of
-from benchmarks.rigs import Case, HarderRig, errors_ahead, errors_simulated, read_log, rms, write_surrogate
-from benchmarks.surrogate_rig import DRY, STEP, Rig
+from benchmarks.rigs import Case, HarderRig, errors_ahead, errors_simulated, read_log, rms
+from benchmarks.surrogate_rig import DRY, Rig
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, dlsim, lfilter
 
@@ -42,13 +42,6 @@ def axis(t, x, force):
 def test_the_subspace_method_finds_the_eigenvalues_of_a_plant(noise, close):
     model = StateSpace.fit([linear_log(noise=noise), linear_log(seed=1, noise=noise)], 3)
     assert np.sort_complex(np.linalg.eigvals(model.a)) == pytest.approx(EIGENVALUES, abs=close)
-
-
-def test_the_subspace_method_predicts_a_plant_that_it_knows():
-    model, other = StateSpace.fit([linear_log()], 3), linear_log(seed=2)
-    starts = np.arange(FIRST, 500, 50)
-    path = model.predict(other, starts, 40)
-    assert path == pytest.approx(other.y[starts[:, None] + np.arange(1, 41)], abs=1e-6)
 
 
 def test_arx_finds_the_weights_of_a_difference_equation():
@@ -110,13 +103,6 @@ def test_errors_are_those_of_samples_that_are_scored():
     assert not len(errors_ahead(Held(), ramp, 150, 180))
     assert errors_simulated(Held(), ramp, 0)[:2, 0].tolist() == [-1, -2]
     assert rms(np.array([3.0, np.nan, 4.0])) == pytest.approx(12.5**0.5) and rms(np.array([1.0, np.inf])) == math.inf
-
-
-def test_a_thinned_log_keeps_samples_and_the_means_of_inputs():
-    log = Log(np.arange(8.0)[:, None], np.arange(8.0)[:, None] ** 2, 0.1).thinned(3)
-    assert log.dt == pytest.approx(0.3) and log.y[:, 0].tolist() == [0, 3, 6]
-    assert log.u[:2, 0].tolist() == [pytest.approx((0 + 1 + 4) / 3), pytest.approx((9 + 16 + 25) / 3)]
-    assert len(log.part(0, 2 / 3)) == 2 and len(log.part(0, 0.5).whole) == 4
 
 
 def test_a_log_is_read_at_even_times(tmp_path):
@@ -184,13 +170,3 @@ def test_the_harder_surrogate_stiffens_and_sticks():
     peak = DRY * math.tanh(2.5) * math.exp(-0.25)
     inertia = plant.constants.inertia_a[0] * math.cos(0.1) ** 2 + plant.constants.inertia_a[1]
     assert more == pytest.approx([0, 0, -(0.03 * 0.125 + peak) / inertia, peak / plant.constants.inertia_p, 0, 0])
-
-
-def test_a_log_of_the_surrogate_is_one_of_its_sensors(tmp_path):
-    columns = ["azimuth [rad]", "pitch [rad]", "tail [rpm]", "main [rpm]", "u_tail", "u_main"]
-    for harder in (False, True):
-        write_surrogate(tmp_path / f"{harder}.csv", columns, harder, 1.0)
-    logs = [read_log(tmp_path / f"{harder}.csv", {})[0] for harder in (False, True)]
-    assert logs[0].y.shape == (100, 4) and logs[0].dt == pytest.approx(0.01)
-    counts = logs[1].y[:, :2] / STEP
-    assert counts == pytest.approx(counts.round(), abs=1e-6) and not np.allclose(logs[0].y, logs[1].y)

@@ -31,24 +31,6 @@ def held_cart(draws: int) -> Check:
     return check(loop, Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=draws))
 
 
-def test_the_figures_of_a_check_name_their_targets():
-    figures = draw_check(held_cart(draws=2))
-    loops = [line.get_label() for line in figures["nyquist"].axes[0].lines if " m" in line.get_label()]
-    assert sorted(loops) == ["$p$ = 0 m", "$p$ = 0.4 m", "$p$ = \N{MINUS SIGN}0.4 m"]
-    assert {"recovery", "steps"} <= set(figures)
-
-
-@pytest.mark.parametrize("draws", [0, 2])
-def test_the_model_itself_steps_to_the_farthest_target_with_or_without_other_plants(draws):
-    found = held_cart(draws)
-    target, model, *others = draw_check(found)["steps"].axes[0].lines
-    assert set(target.get_ydata()) == {-0.4} and len(others) == draws
-    for other in others:  # behind the model, and broader, so that both are seen
-        assert other.get_linewidth() > model.get_linewidth() and other.get_zorder() < model.get_zorder()
-    np.testing.assert_allclose(model.get_ydata(), found.steps.x[0, :, 0])
-    assert model.get_ydata()[-1] == pytest.approx(-0.4, abs=0.02)
-
-
 def held_pair() -> Check:
     """Return the check of a' = u, b' = v, held by u = 2 (r - a) and v = 3 (r - b); u is up to 8 N, v up to 4 V."""
     ends = {"input_ends": ((-8.0, 8.0), (-4.0, 4.0)), "input_units": ("N", "V")}

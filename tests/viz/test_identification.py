@@ -1,7 +1,5 @@
 """Identification figures: what they draw into panels."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -97,11 +95,3 @@ def test_where_an_excitation_began_anew_is_marked_and_lost_samples_of_a_log_are_
         for segment in (None, np.zeros(100)):
             figure = training_data(TIME, lost, inputs, PENDULUM, segment=segment)
             assert not [place for axis in figure.axes for place in at(axis, "--")]
-
-
-def test_a_log_in_volts_is_drawn_in_volts() -> None:
-    volts = replace(PENDULUM, input_ends=((-12, 12),), input_limits=((0, 1),), input_units=("V",))
-    u = np.linspace(0, 1, 100)[:, None]
-    axis = training_data(TIME, STATES[:, :2], u, volts).axes[-1]
-    assert axis.lines[0].get_ydata()[:100] == pytest.approx(12 * u[:, 0])
-    assert axis.get_ylabel() == "$u$ [V]" and axis.get_ylim() == pytest.approx((-0.48, 12.48))

@@ -40,14 +40,6 @@ def test_tracking_draws_reference_and_every_controller() -> None:
     assert [t.get_text() for t in legend.get_texts()][:3] == ["reference", "a", "b"]
 
 
-def test_the_state_after_the_last_period_is_drawn_at_its_end() -> None:
-    longer = [torch.cat([rows, rows[-1:] + 0.01]) for rows in (REFERENCE, OUTPUT)]
-    (reference, output) = tracking(TIME, longer[0], {"a": longer[1]}, {"a": OUTPUT}).axes[0].lines
-    for line, rows in ((reference, longer[0]), (output, longer[1])):
-        assert len(line.get_xdata()) == 401 and line.get_xdata()[-1] == 20.0
-        assert line.get_ydata()[-1] == pytest.approx(float(rows[-1, 0]))
-
-
 def test_inputs_are_drawn_as_held() -> None:
     figure = tracking(TIME, REFERENCE, {"a": OUTPUT}, {"a": OUTPUT})
     (line,) = figure.axes[2].lines
@@ -109,14 +101,6 @@ def run(reference: Reference, episodes: int) -> Evaluation:
 
 def rest(n_u: int = 2):
     return lambda td: td.set("action", torch.zeros(*td.batch_size, n_u))
-
-
-@pytest.mark.parametrize("episodes", [1, 3])
-def test_many_references_add_the_spread_of_the_error(episodes: int, tmp_path: Path) -> None:
-    files = draw_evaluation(run(Step([[0.1, 0.1]]), episodes), tmp_path, formats=("png", "svg"))
-    names = {file.name for file in files}
-    assert names == {"short.png", "short.svg"} | ({"short_errors.png", "short_errors.svg"} if episodes > 1 else set())
-    assert all(file.stat().st_size > 1000 for file in files)
 
 
 def test_the_spread_of_the_error_has_its_median(figures) -> None:

@@ -90,19 +90,3 @@ def test_without_references_the_response_shows_all_states(folder: Path, figures)
     assert "episode 3 of 9" in figure.get_suptitle()
     drawn = [[line.get_ydata()[0] for line in axis.lines] for axis in figure.axes]
     assert drawn == [[0.1], [0.7], [0.3]]
-
-
-def test_a_reference_that_moves_has_no_settling_band(folder: Path, figures) -> None:
-    assert figures()["step_response"].axes[0].patches
-    response = folder / "data" / "step_response.csv"
-    response.write_text(response.read_text().replace("0.5\n", "0.6\n", 1))
-    assert not figures()["step_response"].axes[0].patches
-
-
-def test_a_learnt_reward_has_its_own_unit(folder: Path, figures) -> None:
-    names = "episode,reward_error,judged_reward_error,open_below,close_above,open,"
-    names += "held_out_error_before,held_out_error_after,refit_kept\n"
-    (folder / "gate.csv").write_text(names + "1,0.1,0.2,0.3,0.4,1,0.1,0.1,1\n" * 2)
-    unit = figures()["gate"].axes[0].get_ylabel()
-    (folder / "metrics.json").write_text('{"reward": "cos(theta)", "excitation": "It touched a stop."}')
-    assert figures()["gate"].axes[0].get_ylabel() != unit
