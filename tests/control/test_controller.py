@@ -8,11 +8,10 @@ import warnings
 import numpy as np
 import pytest
 import torch
-from tensordict.nn import TensorDictModule
 
-from dynasindy.agents.networks import MLP, actor
+from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, Observer
-from dynasindy.control.controller import ControlLaw, ControlSetup
+from dynasindy.control.controller import ControlSetup
 from dynasindy.control.integral import IntegralAction
 from dynasindy.control.sensing import Sensing
 from dynasindy.envs import ControlEnv, Sensors, Step, Tracking, TrackingReward, Wave
@@ -172,16 +171,6 @@ def test_a_reset_reads_weights_that_were_changed():
     np.testing.assert_allclose(found, Controller(policy, ControlSetup(env.task, env.dt)).act([0.1, 0.0], [0.3]))
 
 
-def test_a_policy_without_a_tanh_acts_by_what_it_says():
-    env, _ = setting()
-    network = MLP(env.task.n_o, 1, (4,)).requires_grad_(False)
-    for weight in network.parameters():
-        weight.zero_()
-    network.linears[-1].bias.fill_(0.7)
-    policy = TensorDictModule(network, in_keys=["observation"], out_keys=["action"])
-    assert Controller(policy, ControlSetup(env.task, env.dt)).act([0.1, 0.0], [0.3]) == pytest.approx([0.7])
-
-
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
 def test_a_copy_of_a_controller_goes_on_by_itself(copied):
     env, policy = setting()
@@ -192,32 +181,6 @@ def test_a_copy_of_a_controller_goes_on_by_itself(copied):
     wanted = [controller.act([0.04, math.nan], [0.1]) for _ in range(4)]
     assert len(set(np.ravel(wanted).tolist())) == 4
     np.testing.assert_array_equal([other.act([0.04, math.nan], [0.1]) for _ in range(4)], wanted)
-
-
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda law: pickle.loads(pickle.dumps(law))])
-def test_a_copy_of_a_law_has_an_integral_of_its_own(copied):
-    env, policy = setting()
-    setup = ControlSetup(env.task.with_input_limits([[-0.9], [0.9]]), env.dt)
-    law = ControlLaw(policy, setup, None, {"gain": 0.4, "band": 0.5})
-    y, r = torch.tensor([0.28, 0.0]).double(), torch.tensor([0.3]).double()
-
-    def _flown(law):
-        memory, inputs = law.reset(), []
-        for _ in range(4):
-            u, memory = law.step(memory, y, r)
-            inputs.append(float(u))
-        return inputs
-
-    other, wanted = copied(law), _flown(law)
-    assert len(set(wanted)) == 4 and _flown(other) == wanted
-
-
-def test_a_number_for_a_state_without_a_sensor_is_not_read():
-    env, policy = setting()
-    controller = Controller(policy, ControlSetup(env.task, env.dt, env.substeps), watching(env))
-    expected = [controller.act([0.1 * k, math.nan], [0.3]) for k in range(5)]
-    controller.reset()
-    np.testing.assert_array_equal(expected, [controller.act([0.1 * k, 0.7], [0.3]) for k in range(5)])
 
 
 def test_numbers_may_be_given_by_name():
@@ -234,19 +197,9 @@ def test_numbers_may_be_given_by_name():
     ("measurement", "reference", "words"),
     [
         ([0.1], [0.3], "measurement has 1"),
-        (
-            [0.1, math.nan],
-            [0.3],
-            "measurement of Omega is nan",
-        ),
-        ([0.1, math.inf], [0.3], "measurement of Omega is inf"),
-        (
-            {"theta": 0.1, "speed": 0.0},
-            [0.3],
-            "measurement has 'speed'",
-        ),
+        ([0.1, math.nan], [0.3], "measurement of Omega is nan"),
+        ({"theta": 0.1, "speed": 0.0}, [0.3], "measurement has 'speed'"),
         ([0.1, 0.0], [math.nan], "reference of theta is nan"),
-        ([0.1, 0.0], [0.3, 0.1], "reference has 2"),
         ([0.1, 0.0], {}, "reference of theta"),
     ],
 )
@@ -254,14 +207,6 @@ def test_what_is_no_number_of_the_plant_is_refused(measurement, reference, words
     env, policy = setting()
     with pytest.raises(ValueError, match=words):
         Controller(policy, ControlSetup(env.task, env.dt)).act(measurement, reference)
-
-
-def test_what_the_controller_estimates_is_not_among_what_it_reads_and_what_may_be_given():
-    env, policy = setting()
-    controller = Controller(policy, ControlSetup(env.task, env.dt, env.substeps), watching(env))
-    assert "sets" in str(controller)
-    with pytest.raises(ValueError, match=r"'speed'.* theta"):
-        controller.act({"theta": 0.1, "speed": 0.0}, [0.3])
 
 
 @pytest.mark.parametrize("observed", [False, True])

@@ -75,14 +75,6 @@ def test_what_is_loaded_acts_as_what_was_saved(tmp_path, integral):
     np.testing.assert_array_equal(acts(load(str(tmp_path / "controller.json"))), expected)
 
 
-def test_a_file_of_when_sensors_had_a_process_noise_is_read(tmp_path):
-    save(controller := built(), tmp_path / "controller.json")
-    record = json.loads((tmp_path / "controller.json").read_text())
-    record["observer"]["sensors"]["process_noise"] = None
-    (tmp_path / "controller.json").write_text(json.dumps(record))
-    np.testing.assert_array_equal(acts(load(tmp_path)), acts(controller))
-
-
 def test_ends_of_inputs_are_kept_and_a_file_that_has_none_has_the_actuators(tmp_path):
     controller = built()
     controller.setup = replace(controller.setup, task=controller.setup.task.with_input_limits([[-0.25], [0.5]]))
@@ -163,36 +155,20 @@ def damaged(tmp_path, change):
         (lambda r: r.update(format="other"), "format"),
         (lambda r: r.pop("policy"), "it lacks 'policy'"),
         (lambda r: r["task"].update(dt=-1), "positive"),
-        (lambda r: r["task"].update(box=[0.0]), "positive"),
         (lambda r: r["task"].update(outputs=["phi"]), "phi"),
-        (lambda r: r["policy"][0].update(weight="AAAA"), "0 weights"),
         (lambda r: r["policy"][0].update(weight="AAAAAA=="), "1 weights"),
-        (lambda r: r["policy"][1].update(bias="§"), "damaged"),
         (lambda r: r["policy"][0].update(weight="!!!" + r["policy"][0]["weight"]), "damaged"),
         (lambda r: r["policy"][0].update(out=10**9), "4000000000"),
         (lambda r: r["policy"].pop(), "4 inputs"),
         (lambda r: r["observer"]["model"].update(format="x"), "format"),
-        (
-            lambda r: r["observer"]["model"]["signature"].update(state_units=["m", "m/s"]),
-            "other states",
-        ),
+        (lambda r: r["observer"]["model"]["signature"].update(state_units=["m", "m/s"]), "other states"),
         (lambda r: r["observer"]["state"].update(process_noise=[1.0]), "process noise"),
         (lambda r: r["observer"]["sensors"].update(lost=2), "lost=2"),
         (lambda r: r["task"]["stops"].update(low=[5.0]), "low < high"),
-        (lambda r: r["task"]["stops"].update(low=["a"], high=["b"]), "'a'"),
-        (lambda r: r["task"]["stops"].update(high=[math.inf]), "'inf'"),
-        (
-            lambda r: r["task"]["stops"].update(rates=[2]),
-            "state '2'",
-        ),
         (lambda r: r["task"]["stops"].update(positions=[-1]), "state '-1'"),
-        (lambda r: r["task"].update(substeps=0), "substeps is '0'"),
         (lambda r: r["task"].update(substeps=1001), "1 to 1000"),
-        (lambda r: r["task"].update(substeps=2.5), "1 to 1000"),
         (lambda r: r["task"].update(box=[1.0, 1.0]), "theta"),
         (lambda r: r.update(integral={"gain": math.nan}), "'nan'"),
-        (lambda r: r.update(integral={"limit": math.inf}), "'inf'"),
-        (lambda r: r.update(integral={"band": "0.1"}), "'0.1'"),
         (lambda r: r["observer"]["model"].update(delay=0.5), r"0\.5 s.*0\.4 s"),
     ],
 )

@@ -48,16 +48,6 @@ def test_an_output_without_a_rate_is_integrated_as_if_it_stood_still():
     torch.testing.assert_close(action.integral, 2.0 * env.dt * share * error / box)
 
 
-def test_the_first_step_forgets_the_last_episode():
-    env, proportional = setting()
-    action = IntegralAction(proportional, env, band=1.0)
-    start = env.reset()
-    first = action(start.clone())["action"]
-    for _ in range(5):
-        action(start.clone().set("step_count", torch.ones(1, dtype=torch.int64)))
-    torch.testing.assert_close(action(start.clone())["action"], first)
-
-
 def test_shift_and_integral_are_those_of_the_formulas_on_a_moving_reference():
     plant = Pendulum()
     task = Tracking(plant.signature, Wave([0.3], [0.2]), ("theta",), ("Omega",), TrackingReward((4.0,)))

@@ -1,11 +1,9 @@
 """The filter against the textbook's on a linear plant, and against the true plant where measurements are exact."""
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
-from scipy.linalg import solve_discrete_are
 
 from dynasindy.control import Observer
 from dynasindy.control.observer import CANDIDATES, Belief
@@ -100,19 +98,6 @@ def test_on_a_linear_plant_it_is_the_textbooks_filter_with_lost_samples_too():
     torch.testing.assert_close(belief.covariance, covariance, rtol=1e-6, atol=1e-12)
 
 
-def test_the_covariance_settles_where_the_riccati_equation_says():
-    ours, (y, _, _) = observer(substeps=5), logged(200)
-    belief = ours.begin(y[0])
-    for k in range(200):
-        belief, _, _ = ours.correct(ours.advance(belief, torch.zeros(ours.memory, 1)), y[k])
-    f, _ = held(DT)
-    c = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
-    r = torch.diag(torch.tensor([0.02**2, 0.01**2 + 0.01**2 / 12], dtype=torch.float64))
-    ahead = torch.tensor(solve_discrete_are(f.T, c.T, torch.diag((1e-2 * SCALE) ** 2 * DT), r))
-    after = ahead - ahead @ c.T @ torch.linalg.inv(c @ ahead @ c.T + r) @ c @ ahead
-    torch.testing.assert_close(belief.covariance, after, rtol=1e-6, atol=1e-12)
-
-
 @pytest.mark.parametrize(("delay", "late"), [(0.0, 0), (0.05, 0), (0.07, 0), (0.0, 2), (0.07, 2), (0.1, 1)])
 def test_without_noise_it_is_where_the_plant_will_be_when_the_next_input_arrives(delay, late):
     """The plant gets its inputs `delay` seconds late, the observer its measurements `late` periods later."""
@@ -135,19 +120,6 @@ def test_without_noise_it_is_where_the_plant_will_be_when_the_next_input_arrives
         now = (k + 1) * pieces + shift
         if now < len(x):
             torch.testing.assert_close(ours.ahead(belief.mean, inputs), x[now], rtol=0, atol=1e-7)
-
-
-@pytest.mark.parametrize("late", [0, 2])
-def test_a_period_begins_under_the_input_that_a_delay_has_held_back(late):
-    """At 0.07 s of delay 0.02 s pass under the command of three periods ago, then 0.03 s under that of two ago."""
-    ours = observer(delay=0.07)
-    ours.sensors = replace(ours.sensors, delay=late)
-    rng = torch.Generator().manual_seed(5)
-    x, u = (torch.randn(n, generator=rng, dtype=torch.float64) for n in (3, ours.memory))
-    moved = ours.advance(Belief(x, torch.eye(3, dtype=torch.float64)), u.unsqueeze(-1))
-    (f, g), (f_then, g_then) = held(0.02), held(0.03)
-    expected = f_then @ (f @ x + g[:, 0] * u[-3 - late]) + g_then[:, 0] * u[-2 - late]
-    torch.testing.assert_close(moved.mean, expected, rtol=0, atol=1e-7)
 
 
 def test_an_estimated_push_moves_its_rate_and_stays():

@@ -251,17 +251,6 @@ def test_a_run_that_cannot_see_the_truth_is_the_same_run():
         assert all(same(one.rollout[key], other.rollout[key]) for key in MEASURED_KEYS)
 
 
-def test_no_number_of_the_replay_is_true():
-    made = recipe()
-    parts = made.build()
-    rollout = parts.env.rollout(30, parts.excitation)
-    parts.replay.extend_real(rollout)
-    stored, truth = parts.replay.real_in_order(), rollout["next", "true_state"]
-    for shown in (stored["next", "state"], stored["next", "samples"][:, -1]):
-        assert not (shown == truth)[3:].any()  # it begins at rest, with angles of zero
-    assert not (stored["next", "reward"] == rollout["next", "true_reward"]).any()
-
-
 def test_a_run_resumed_at_any_place_is_the_uninterrupted_one():
     class Saved(Callback):
         def __init__(self, parts, place):
@@ -325,13 +314,6 @@ def test_an_evaluation_flies_by_estimates_and_is_judged_by_the_truth(changes):
     assert torch.equal(seen.returns, seen.trajectory["next", "true_reward"].sum((-1, -2)))
     exact = evaluate(env, policy(), scenario)
     assert 0 < (seen.outputs - exact.outputs).abs().max() < 0.02
-
-
-def test_perfect_sensors_fly_as_none_and_the_wrappers_of_a_scenario_see_estimates():
-    env, sensing, _ = behind(PERFECT)
-    scenario = Scenario("s", Step([[0.3, 0.2]]), 1, 1.0, wrappers=[partial(SensorNoise, std={})])
-    seen, exact = (evaluate(env, policy(), scenario, each) for each in (sensing, None))
-    torch.testing.assert_close(seen.outputs, exact.outputs, rtol=0, atol=1e-6)
 
 
 def test_noise_of_a_scenario_is_of_the_measurement_and_the_observer_filters_it():

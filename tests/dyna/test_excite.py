@@ -90,35 +90,6 @@ def test_a_plant_that_falls_is_caught_after_its_first_fall():
     )
 
 
-def test_a_plant_that_falls_is_caught_by_its_encoder_alone():
-    experiment = parts(Inverted(), bounds={"theta": 0.5})
-    sensors = Sensors({"theta": {"resolution": 1.5e-3}}, rates={"theta": "Omega"})
-    experiment.sensing = Sensing(
-        experiment.plant, Observer(Inverted(), sensors, experiment.plant), torch.Generator().manual_seed(0)
-    )
-    experiment.env = experiment.sensing.around(experiment.plant)
-    excited = excite(experiment)
-    begins = [*(excited["step_count"].flatten() == 0).nonzero().flatten().tolist(), 200]
-    lengths = [b - a for a, b in zip(begins, begins[1:], strict=False)]
-    # Open loop it falls within some 20 periods of every try; held, it is excited for most of the 200.
-    assert lengths[0] < 40 and max(lengths) > 100
-    truth = excited["next", "true_state"][..., 0].abs()
-    assert float(truth.max()) < 0.7
-    assert finding("excitation.restarts", experiment, excited).values["times"] == len(lengths) - 1
-    blind = excited.clone()
-    blind["next", "true_state"].fill_(torch.nan)
-    assert finding("excitation.restarts", experiment, blind) == finding("excitation.restarts", experiment, excited)
-
-
-def test_where_nobody_knows_whether_a_plant_stays_it_is_moved_little_at_first_and_more_in_every_period():
-    """What moves it is a line through the mean times 0.1 * 2^(k / 10), and all of it from period 34 on."""
-    careful, bold = parts(Xi(), 2, 3.0, careful={"first": 0.1}), parts(Xi(), 2, 3.0)
-    little, all_of_it = (excite(experiment)["action"].double() for experiment in (careful, bold))
-    share = torch.tensor([min(1.0, 0.1 * 2 ** (k / 10)) for k in range(60)], dtype=torch.float64)
-    assert share[33] < 1.0 == share[34]
-    torch.testing.assert_close(little, share.unsqueeze(-1) * all_of_it, atol=1e-6, rtol=0.0)
-
-
 def test_a_plant_that_begins_many_ranges_from_zero_is_excited_there_without_bounds():
     """A tank of 350 K, of which some kelvin are usual, cools towards 340 K."""
     signature = Signature(("T",), ("K",), ("heat",), (5.0,))

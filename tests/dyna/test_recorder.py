@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from tensordict import TensorDict
 
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.control import load
@@ -71,17 +70,6 @@ def test_only_evaluated_episodes_have_evaluated_figures(recorded):
     assert given == [False, True, True]  # every second one, and the last
 
 
-def test_the_gate_has_a_row_per_episode(recorded):
-    folder, _, _ = recorded
-    decisions = rows(folder / "gate.csv")
-    assert [float(row["episode"]) for row in decisions] == [1, 2, 3]
-    for row in decisions:
-        assert float(row["open"]) == 1 and float(row["close_above"]) == pytest.approx(0.1)
-        assert (
-            row["refit_kept"] == row["judged_reward_error"] == "" and float(row["stored_imagined_transitions"]) == 0
-        )  # nothing is planned here
-
-
 def test_evaluation_neither_counts_nor_changes_the_run(recorded):
     _, parts, recorder = recorded
     before = parts.env.rng.get_state(), parts.agent.noise.sigma, len(parts.replay.real)
@@ -142,20 +130,6 @@ def test_both_errors_of_the_model_stand_under_their_names(recorded, tmp_path):
     assert float(logged["return"]) == pytest.approx(float(rollout["next", "reward"].sum()), rel=1e-5)
     spent = [float(logged[key]) for key in ("real_steps", "plant_seconds", "imagined_transitions", "updates")]
     assert spent == pytest.approx([7, 7 * 0.05, 8, 9])
-
-
-def test_the_time_of_a_run_goes_on_where_it_was_interrupted(recorded, tmp_path, monkeypatch):
-    _, parts, recorder = recorded
-    now = [100.0]
-    monkeypatch.setattr("dynasindy.dyna.recorder.time.perf_counter", lambda: now[0])
-    first, again = (Recorder(tmp_path / name, parts, recorder.evaluating, 3) for name in ("first", "again"))
-    first.begin()
-    now[0] += 7.0
-    state = first.state_dict()
-    now[0] = 5.0  # of another process
-    again.load_state_dict(state)
-    now[0] += 2.0
-    assert (state["seconds"], again.state_dict()["seconds"]) == (7.0, 9.0)
 
 
 @pytest.mark.parametrize(("number", "name"), [(1, "first"), (2, None), (3, "last")])
@@ -221,20 +195,3 @@ def test_behind_sensors_the_state_of_the_observer_is_left_too(recorded, tmp_path
     again.untrained, again.evaluate = recorder.untrained, recorder.evaluate  # which flies without sensors
     assert again.finish({})["observer"] == {"nis": 1.25}
     assert json.loads((tmp_path / "observer.json").read_text()) == {"nis": 1.25}
-
-
-def test_a_run_reports_its_episodes_with_return_and_model_error(recorded):
-    _, _, recorder = recorded
-    heard = []
-    rollout, error = (
-        TensorDict({"next": {"reward": torch.full((4, 1), -1.5)}}, [4]),
-        ModelError(0.0123, 0.0, torch.zeros(0)),
-    )
-    recorder = Recorder(recorder.folder / "other", recorder.parts, replace(recorder.evaluating, every=9), 5)
-    with listening(heard.append):
-        recorder.begin()
-        recorder.progress(3)
-        recorder.episode(Episode(4, rollout, error, error, True), Place(2, 600))
-    run = [event for event in heard if event.outer]
-    assert [event.count() for event in run] == ["3 of 5 episodes", "4 of 5 episodes"]
-    assert all(part in run[1].note for part in ("return -6.0", "error 0.0123", "steps 600"))

@@ -14,7 +14,7 @@ from dynasindy.dyna.recorder import Evaluating
 from dynasindy.dyna.run import run, run_report
 from dynasindy.envs import ControlEnv, Multisine, RandomStep, Step, Tracking
 from dynasindy.evaluation.scenarios import Scenario
-from dynasindy.findings import note, weak
+from dynasindy.findings import note
 from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay, NoPlanning
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Xi
@@ -152,27 +152,6 @@ def test_a_checkpoint_of_another_run_costs_one_line(tmp_path):
     wider = dataclasses.replace(recipe(REPLAYED), agent=partial(TD3, hidden=(9, 8)))
     with pytest.raises(ValueError, match="checkpoints"):
         run(wider, evaluating, tmp_path, *PROVENANCE)
-
-
-def test_other_code_that_goes_on_with_a_run_is_noted(tmp_path):
-    with pytest.raises(Stopped):
-        go(tmp_path, "none", last=CALLS)
-    assert json.loads((tmp_path / "origin.json").read_text()) == PROVENANCE[1]
-    evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2)
-    Plug.last = None
-    run(recipe(NoPlanning), evaluating, tmp_path, "a: 1\n", {"commit": "def"})
-    assert json.loads((tmp_path / "origin.json").read_text())["resumed_at_commit"] == "def"
-
-
-@pytest.mark.parametrize("within", [1e3, 1e-9])
-def test_a_thin_margin_of_a_controlled_plant_is_a_finding_and_stands_in_the_report(tmp_path, monkeypatch, within):
-    Plug.last = None
-    thin = weak("control.thin_margin", value=0.4, limit=0.5, target=[0.1, 0.2], input="u_a")
-    monkeypatch.setattr("dynasindy.dyna.recorder.thin_margin", lambda *_: [thin])
-    evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2, within=within)
-    metrics = run(recipe(GRADIENT, 1), evaluating, tmp_path, *PROVENANCE)
-    assert metrics["verdict"]["controlled"] == (within > 1) == (thin.record() in metrics["findings"])
-    assert (f"warning: {thin}" in run_report(metrics, tmp_path)) == (within > 1)
 
 
 @pytest.mark.parametrize("name", ["replay", "gradient"])

@@ -8,9 +8,8 @@ import pytest
 import torch
 from gymnasium import spaces
 
-from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv, Step, Tracking, TrackingReward
+from dynasindy.envs import Foreign, GymnasiumEnv, Step, Tracking, TrackingReward
 from dynasindy.envs.foreign import _Observed
-from dynasindy.systems import Pendulum
 
 PENDULUM = {"states": {"c": 1.0, "s": 1.0, "w": 8.0}, "inputs": ["torque"]}
 BY_HAND = "by_hand/Steps-v0"
@@ -99,11 +98,6 @@ def car(max_steps=300):
     return environment("MountainCarContinuous-v0", {"p": 0.47}, max_steps, states=states, dt=1.0)
 
 
-def resting(tensordict):
-    """Leave the plant alone."""
-    return tensordict.set("action", torch.zeros(1))
-
-
 def pumping(tensordict):
     """Push with the speed, which takes energy in: a car in a valley comes out."""
     v = tensordict["state"][..., -1:]
@@ -128,14 +122,6 @@ def test_a_rollout_is_the_environment_stepped_by_hand_with_the_torque_doubled():
             assert not terminated and not after["next", "done"]
             now = env.step_mdp(after)
     assert seeds[0] != seeds[1]
-
-
-def test_the_reward_is_that_of_the_task_at_the_end_of_the_period():
-    env = pendulum()
-    after = env.step(env.reset().set("action", torch.zeros(1)))["next"]
-    c, s, _ = after["state"].tolist()
-    assert float(after["reward"]) == pytest.approx(-4.0 * ((1 - c) ** 2 + s**2), rel=1e-5)
-    np.testing.assert_allclose(after["observation"].numpy()[3:], [(1 - c) / 0.5, -s / 0.5], rtol=1e-5)
 
 
 def test_rows_are_copies_of_their_own_and_inputs_are_scaled_between_their_ends():
@@ -217,11 +203,6 @@ def test_a_row_that_is_over_stays_there_in_an_evaluation():
     assert rows["next", "truncated"][:, -1].all() and not rows["next", "truncated"][:, :-1].any()
 
 
-def test_episodes_are_truncated_after_those_of_the_task_and_not_of_the_environment():
-    rows = pendulum(max_steps=250).rollout(300, resting)
-    assert len(rows) == 250 and bool(rows["next", "truncated"][-1]) and not rows["next", "terminated"].any()
-
-
 def test_a_step_from_another_state_is_refused():
     env = pendulum()
     now = env.reset().set("action", torch.zeros(1))
@@ -239,28 +220,6 @@ def test_an_episode_that_an_evaluation_has_taken_the_copies_of_is_refused():
     with pytest.raises(RuntimeError, match="reset"):
         env.step(now)
     env.step(env.reset().set("action", torch.zeros(1)))
-
-
-def test_an_imagined_episode_begins_where_the_environment_does():
-    """Pendulum-v1 begins at any angle, at up to 1 rad/s; a model is stepped by the ordinary environment."""
-    env = pendulum(seed=2)
-    imagined = env.with_system(Turning(env.system.signature))
-    assert type(imagined) is ControlEnv and imagined.dt == env.dt and imagined.task is env.task
-    x = imagined.task.initial_state(torch.Size((500,)), torch.Generator().manual_seed(0))
-    np.testing.assert_allclose(x[:, 0] ** 2 + x[:, 1] ** 2, 1.0, atol=1e-6)
-    angle = torch.atan2(x[:, 1], x[:, 0])
-    assert float(angle.min()) < -2.5 and float(angle.max()) > 2.5 and 0.5 < float(x[:, 2].abs().max()) <= 1.0
-
-
-class Turning(Pendulum):
-    """A stand-in for a fitted model."""
-
-    def __init__(self, signature):
-        super().__init__()
-        self.signature = signature
-
-    def forward(self, x, u):
-        return torch.zeros_like(x)
 
 
 def test_an_angle_instead_of_sine_and_cosine_moves_as_the_pendulum_by_hand():
@@ -286,16 +245,6 @@ def test_angles_and_their_rates_are_in_rad_unless_said_otherwise():
     mapped = {"states": ["a", "w"], "observed": ["c", "s", "w"], "angles": {"a": ["s", "c"]}, "rates": {"a": "w"}}
     assert Foreign("Pendulum-v1", **mapped).signature.state_units == ("rad", "rad/s")
     assert Foreign("Pendulum-v1", units=["turns", "-"], **mapped).signature.state_units == ("turns", "-")
-
-
-def test_states_are_entries_by_name_and_angles_of_sine_and_cosine():
-    observed = _Observed(NAMES, ["w", "a"], {"a": ["s", "c"]})
-    angles = [0.3, -2.0, 3.0, -3.1]
-    torch.testing.assert_close(
-        observed.state(shown(*angles)), torch.tensor([[0.1 * k, a] for k, a in enumerate(angles)])
-    )
-    only = _Observed(NAMES, ["c", "s"])
-    torch.testing.assert_close(only.state(shown(2.0)), torch.tensor([[math.cos(2.0), math.sin(2.0)]]))
 
 
 def test_an_angle_goes_on_over_whole_turns_in_both_directions():

@@ -4,13 +4,11 @@ import copy
 import pickle
 import subprocess
 import sys
-import warnings
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
-from gymnasium.utils.env_checker import check_env
 
 import dynasindy  # noqa: F401 (registers the environments)
 from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv, Step, Tracking, TrackingReward, Wave
@@ -147,21 +145,6 @@ def test_the_package_alone_imports_neither_gymnasium_nor_numpy() -> None:
     code = "import sys, dynasindy; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not {"gymnasium", "numpy"} & set(done.stdout.split())
-
-
-@pytest.mark.parametrize("name", IDS)
-def test_gymnasium_has_nothing_to_warn_of_and_ends_episodes(name):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        env = gymnasium.make(name)
-        check_env(env.unwrapped)
-    assert env.spec.max_episode_steps == 400
-    observation, _ = env.reset(seed=0)
-    ends = []
-    while not ends or not ends[-1]:
-        observation, _, _, truncated, _ = env.step(np.zeros(env.action_space.shape, np.float32))
-        ends.append(truncated)
-    assert len(ends) == 400 and env.observation_space.contains(observation)
 
 
 @pytest.mark.parametrize("name", IDS)

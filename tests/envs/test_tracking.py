@@ -9,13 +9,6 @@ from dynasindy.systems import Pendulum, Signature, Tras
 SIGNATURE = Tras().signature
 
 
-def test_another_reference_leaves_the_rest():
-    task = Tracking(SIGNATURE, RandomStep([-1, -1], [1, 1]), max_steps=7, observe_rate=True, error_scale=0.2)
-    other = task.with_reference(Step([[0.1, 0.2]]))
-    assert (other.max_steps, other.observe_rate, other.error_scale) == (7, True, 0.2)
-    assert other.outputs == task.outputs
-
-
 WAVE = Wave([0.4, 0.3], [0.5, 0.25], offset=[0.1, -0.2])
 
 

@@ -130,15 +130,6 @@ def test_the_table_has_interquartile_means_and_says_never(tmp_path):
     assert (tmp_path / "ablation.md").read_text() == text
 
 
-def test_figures_at_the_end_are_those_of_the_last_evaluation(tmp_path):
-    run_folder(tmp_path / "runs", "s", 3, [0.5, 0.3, 0.1])
-    (row,) = gathered(tmp_path / "runs", tmp_path, LEVEL)
-    assert row["seed"] == 3 and row["commit"] == "unknown" and "return_at_level" not in row
-    assert (row["real_steps"], row["updates"], row["imagined_transitions"], row["wall_seconds"]) == (1400, 150, 300, 21)
-    assert row["area_under_curve"] == pytest.approx(-30.0) and row["final_return"] == pytest.approx(-10.0)
-    assert Level() == Level(0.05, 3) and Level(0.05, 1).reached([0.06, 0.05]) == 1
-
-
 def mixed_run(root, setting, errors, units=("m/s", "rad")):
     """Make a run of `run_folder` one of a vessel: y within a range of 2 m/s, z of 0.5 rad."""
     folder = run_folder(root, setting, 0, errors, "vessel")

@@ -9,7 +9,7 @@ import torch
 from dynasindy.control.controller import ControlSetup
 from dynasindy.evaluation.closed_loop import FINE, _longest_step
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Stops, integrate
+from dynasindy.systems import integrate
 
 
 def flown(loop, x, r, periods):
@@ -120,12 +120,6 @@ def test_a_loop_at_rest_knows_where_it_is(networks):
     moved = loop.step(z, loop.steady_covariance(z), torch.tensor([[0.3]]))
     np.testing.assert_allclose(moved.z[0, loop.parts["x"]], x[0], atol=1e-9)
     np.testing.assert_allclose(moved.z[0, loop.parts["mean"]], [0.25, 0, 0], atol=1e-7)
-
-
-def test_stops_hold(loops):
-    loop = loops(stops=Stops((0,), (1,), (-1.0,), (0.5,)))
-    x = loop._move(torch.tensor([[0.45, 2.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
-    assert x[0].tolist() == [0.5, 0.0]
 
 
 @pytest.mark.parametrize("spring", [1e-4, 1.0, 100.0, 1e6])

@@ -84,33 +84,6 @@ def test_noisy_observations_are_of_the_present_time() -> None:
     assert not torch.equal(seen[0]["state"], start["state"]) and bool((out["action"] == 0.4).all())
 
 
-def test_what_is_not_named_stays_as_it_is() -> None:
-    torch.testing.assert_close(PerturbedPlant(Xi(), gain={})(X, U), Xi()(X, U))
-    torch.testing.assert_close(PerturbedPlant(Xi(), {})(X, U), Xi()(X, U))
-    both = PerturbedPlant(Xi(), {"Omega_a": 0.5, "omega_p": -3.0})(X, U) - Xi()(X, U)
-    torch.testing.assert_close(both[2], torch.tensor([0, 0, 0.5, 0, 0, -3.0], dtype=torch.float64))
-    with pytest.raises(ValueError, match="0 or more"):
-        SensorNoise(lambda td: td, make(), {"omega_p": -0.1})
-
-
-def test_each_says_how_large_it_is() -> None:
-    env = make()
-    assert (
-        PerturbedPlant(Xi(), {"Omega_p": -0.5, "omega_a": 20.0}).summary()
-        == "pushed by -0.5 rad/s^2 on Omega_p, 20 rpm/s on omega_a"
-    )
-    assert (
-        PerturbedPlant(Xi(), gain={"Omega_a": 0.9}, input_gain=[1.0, 0.8]).summary()
-        == "detuned: Omega_a' times 0.9, u_p times 0.8"
-    )
-    noise = SensorNoise(lambda td: td, env, {"alpha_a": 0.002, "omega_a": 40.0})
-    assert noise.summary() == "measured with white noise, standard deviation alpha_a 0.002 rad, omega_a 40 rpm"
-    assert [DelayedActuator(lambda td: td, env, k).summary() for k in (1, 2)] == [
-        "inputs late by 1 control period, 0.05 s",
-        "inputs late by 2 control periods, 0.1 s",
-    ]
-
-
 def test_noise_comes_from_the_sensors_of_a_plant_and_else_from_its_ranges() -> None:
     env = ControlEnv(Tras(), Tracking(Tras().signature, Step([[0.0, 0.0]])))
     sensors = {"alpha_a": {"resolution": 0.006}, "omega_a": {"noise": 30.0}, "Omega_p": {}}

@@ -175,21 +175,6 @@ def test_the_first_step_is_the_one_nearest_to_three_quarters_of_the_upper_ends()
     assert bool(((targets >= torch.tensor([-0.4, -0.1])) & (targets <= torch.tensor([0.4, 0.25]))).all())
 
 
-def test_figures_of_a_run_are_those_of_its_trajectory() -> None:
-    system = Xi()
-    env = ControlEnv(system, Tracking(system.signature, RandomStep([-0.4, -0.25], [0.4, 0.25])), dt=0.1, substeps=2)
-    result = evaluate(env, constant(0.1, 0.2), Scenario("short", episodes=2, seconds=1.5))
-    assert result.seconds == pytest.approx(1.5) and result.time.tolist() == pytest.approx([0.1 * k for k in range(15)])
-    assert result.inputs.shape == (2, 15, 2) and bool((result.inputs == torch.tensor([0.1, 0.2])).all())
-    assert torch.equal(result.outputs, result.trajectory["state"][..., :2]) and result.windows == ()
-    error = (result.outputs - result.references).double()
-    torch.testing.assert_close(result.metrics["rmse"].double(), error.square().mean(1).sqrt())
-    at_stop = torch.zeros(2, 15, 1, dtype=torch.bool)
-    at_stop[1, :3] = True
-    result.trajectory["next", "at_stop"] = at_stop
-    assert result.summary()["stop_share"] == pytest.approx(0.1)  # one of two episodes, for a fifth of it
-
-
 def test_without_a_length_a_run_is_an_episode_of_the_task() -> None:
     env = make()
     env.task.max_steps = 30

@@ -10,7 +10,6 @@ from scipy import stats
 from dynasindy.evaluation.statistics import (
     bootstrap_interval,
     interquartile_mean,
-    over_seeds,
     sweep_table,
 )
 
@@ -108,13 +107,6 @@ def test_a_fit_beside_the_runs_is_no_row(tmp_path):
     (fit / "metrics.json").write_text('{"open_loop_nrmse": {"h": 0.1}}')
     (fit / "report.txt").write_text("h' = -h")
     assert len(rows_of(tmp_path)) == 1
-
-
-def test_fewer_than_three_seeds_stand_for_themselves_in_their_order():
-    assert over_seeds([0.3456, 0.12]) == "0.346, 0.12"
-    assert over_seeds([4.0, float("inf")], infinite="never") == "4, never"
-    assert over_seeds([-5841.3]) == "-5841"
-    assert over_seeds([1.0, 2.0, 3.0]).startswith("2 [")
 
 
 def test_each_cell_of_a_sweep_is_that_of_its_column(tmp_path):

@@ -3,7 +3,6 @@
 import csv
 import json
 import math
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ import torch
 from tensordict import TensorDict
 
 from dynasindy.envs import ControlEnv, Step, Tracking, TrackingReward, Wave, wave
-from dynasindy.evaluation.disturbances import DelayedActuator, PerturbedPlant
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, to_text, tracking_metrics
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.findings import weak
@@ -99,24 +97,6 @@ def test_only_what_rests_has_a_steady_state_to_read(signal, kept):
     text = to_text(summary, units=made.units, steady=made.told_steady_seconds)
     assert summary["steady_state_error/h"] is not None and "mean abs error [m]" in text
     assert ("steady-state error" in text) == kept
-
-
-def test_the_heading_says_how_long_and_when_the_plant_was_disturbed() -> None:
-    system = Pendulum()
-    task = Tracking(system.signature, Step([[0.5]]), ["theta"], ["Omega"], TrackingReward(error_weights=(4.0,)))
-
-    def still(td):
-        return td.set("action", torch.zeros(*td.batch_size, 1))
-
-    gust = {"plant": partial(PerturbedPlant, push={"Omega": 1.0}), "windows": [(0.5, 1.5)]}
-    scenario = Scenario("wind", Step([[0.5], [0.2]]), episodes=2, seconds=3.0, **gust)
-    result = evaluate(ControlEnv(system, task, substeps=1), still, scenario)
-    for part in ("'wind' (2 references, 3 s", "1 rad/s^2 on Omega", "from 0.5 s to 1.5 s", "before 0.5 s"):
-        assert part in result.title
-    calm = evaluate(ControlEnv(system, task, substeps=1), still, Scenario("step", seconds=1.5))
-    assert calm.title == "Scenario 'step' (1 reference, 1.5 s)"
-    late = Scenario("delay", seconds=1.5, wrappers=[partial(DelayedActuator, periods=3)])
-    assert "by 3 control periods, 0.15 s" in evaluate(ControlEnv(system, task, substeps=1), still, late).title
 
 
 def test_references_beyond_the_targets_of_the_plant_are_told_and_others_are_not() -> None:

@@ -56,22 +56,6 @@ def test_a_double_integrator_runs_away_although_no_mode_grows():
     assert pace(Linear(0.0, 0.0, 1.0), dt=0.2).warm_start
 
 
-def test_time_counts_in_control_periods():
-    # The same plant ten times slower under a period ten times longer.
-    fast, slow = pace(Linear(-1.0, 1.0, 4.0)), pace(Slow(Linear(-1.0, 1.0, 4.0)), dt=0.5)
-    assert (fast.window, fast.substeps, fast.warm_start) == (slow.window, slow.substeps, slow.warm_start)
-    assert pace(Linear(-1.0, 1.0, 4.0), dt=0.01).window > fast.window
-
-
-class Slow(System):
-    def __init__(self, plant):
-        super().__init__(plant.signature)
-        self.plant = plant
-
-    def forward(self, x, u):
-        return 0.1 * self.plant(x, u)
-
-
 @pytest.mark.parametrize(("rate", "steps"), [(15.0, 1), (45.0, 3), (1e6, SUBSTEPS)])
 def test_a_fast_mode_takes_smaller_steps(rate, steps):
     # A damping of d leaves modes near -d and -1/d: at 0.05 s a step of 1 / d takes d / 20 steps.
@@ -151,23 +135,3 @@ def test_a_difference_equation_settles_as_its_regulated_map_does(mapped):
         periods += 1
     places = torch.zeros(3, 1), torch.zeros(3, 1)
     assert _settles(env, *places, 0.01) == pytest.approx(0.5 * periods)
-
-
-class Weaker(System):
-    """x' = u within the targets, and far away x' = u / 10."""
-
-    def __init__(self):
-        super().__init__(Signature(("x",), ("m",), ("u",), (1.0,)))
-
-    def forward(self, x, u):
-        return u / torch.where(x.abs() < 0.6, 1.0, 10.0)
-
-
-def test_the_rest_tells_how_long_outputs_take_to_settle_where_other_places_are_slower():
-    """x[k+1] = x + 0.05 u at the least cost of 100 x^2 and u^2."""
-    plant = Weaker()
-    task = Tracking(plant.signature, RandomStep((-0.5,), (0.5,)), ("x",), (), TrackingReward((4.0,)))
-    p = float(solve_discrete_are([[1.0]], [[0.05]], [[100.0]], [[1.0]]).item())
-    periods = math.ceil(math.log(0.01) / -math.log(1 + 0.05**2 * p))
-    places = torch.tensor([[2.0]] * 3), torch.zeros(3, 1)
-    assert _settles(ControlEnv(plant, task, 0.05, 1), *places, 0.01) == pytest.approx(0.05 * periods)
