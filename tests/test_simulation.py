@@ -77,12 +77,6 @@ def test_targets_by_name_or_in_order_and_a_start(controller):
     assert np.ptp(found, 0).max() == 0
 
 
-def test_no_name_is_proposed_for_a_target_that_is_only_missing(controller):
-    with pytest.raises(ValueError, match="alpha_p") as refused:
-        dynasindy.simulate(controller, Tras(), {"alpha_a": 0.1})
-    assert "did you mean" not in str(refused.value)
-
-
 @pytest.mark.parametrize(
     "targets",
     [

@@ -16,13 +16,13 @@ from dynasindy.data.recording import Recording
 from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import ControlEnv, Multisine, RandomStep, Step, Tracking, TrackingReward
 from dynasindy.evaluation.scenarios import Scenario
-from dynasindy.findings import FindingError, note, wrong
+from dynasindy.findings import FindingError, wrong
 from dynasindy.identification.source import Source
 from dynasindy.progress import listening
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.shooting import STABLE
 from dynasindy.systems import Pendulum, Signature
-from dynasindy.workbench import _sensors_of, forecast, refit_shortage
+from dynasindy.workbench import forecast, refit_shortage
 
 COUNT = 2 * math.pi / 4096
 WORDS = ["1", "u", "theta", "Omega", "sin(theta)", "Omega^2"]
@@ -44,54 +44,6 @@ def log(path):
 @pytest.fixture(scope="module")
 def model(log):
     return dynasindy.identify(log, WORDS, {"theta": "Omega"}, "trajectory", longest_delay=0.0)
-
-
-def test_what_the_equations_hold_is_found(write_log, tmp_path):
-    """A shaft with dry friction, v' = 10 u - v - 2 tanh(20 v), sampled every 0.01 s."""
-    time = np.arange(600) * 0.01
-    u, v = 0.8 * np.sign(np.sin(2 * np.pi * 0.7 * time)), [0.0]
-    for held in u:
-        now = v[-1]
-        for _ in range(20):
-            now += 0.0005 * (10 * held - now - 2 * math.tanh(20 * now))
-        v.append(now)
-    columns = (torch.tensor(each).unsqueeze(-1) for each in (v[:-1], u.tolist()))
-    log = dynasindy.read(write_log(tmp_path / "log.csv", ["v [rad/s]", "u"], *columns))
-
-    def content(model):
-        return [each for each in model.findings if each.code.startswith("model.")]
-
-    found = dynasindy.identify(log, ["u", "v", "tanh(20 v)"], method="one_step")
-    assert found.coefficients[found.library.index("tanh(20 v)"), 0].item() == pytest.approx(-2, rel=0.05)
-    assert content(found) == [note("model.dry_friction", state="v")]
-    smooth = dynasindy.identify(log, ["u", "v", "v^3"], method="one_step")
-    assert note("model.dry_friction", state="v") not in content(smooth)
-
-
-def test_the_equations_are_those_of_the_pendulum(model):
-    """l = 1 m, m = 1 kg: theta'' = 12 u - 9.81 sin(theta) - 0.5 theta'."""
-    found = dict(zip(model.library.names, model.coefficients[:, 1].tolist(), strict=True))
-    present = {name: value for name, value in found.items() if value}
-    assert present == pytest.approx({"u": 12.0, "Omega": -0.5, "sin(theta)": -9.81}, rel=0.02)
-
-
-def test_the_controller_holds_the_plant_that_the_log_is_of(log, model, tmp_path):
-    controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, log, updates=60, rollouts=32, window=30)
-    assert controller.outputs == ("theta",)
-    assert controller.observer.sensors.channels["theta"].resolution == pytest.approx(COUNT, rel=1e-3)
-    dynasindy.control.save(controller, tmp_path / "controller.json")
-    loaded = dynasindy.load(tmp_path)
-    plant, x = (
-        ControlEnv(Pendulum(), controller.setup.task, controller.dt, dtype=torch.float64),
-        torch.zeros(2).double(),
-    )
-    for k in range(200):
-        y = {"theta": round(float(x[0]) / COUNT) * COUNT}
-        u = controller.act(y, [0.4])
-        np.testing.assert_array_equal(u, loaded.act(y, [0.4]))
-        x = plant.advance(x, torch.from_numpy(u))[0][-1]
-        if k > 150:
-            assert abs(float(x[0]) - 0.4) < 0.03
 
 
 def test_a_model_out_of_its_file_gets_the_same_verdict(log, model, tmp_path):
@@ -184,20 +136,6 @@ def test_an_observer_makes_up_for_a_delay(exact, late):
             ahead = plant.advance(ahead, u)[0][-1]
         x = plant.advance(x, waiting.pop(0))[0][-1]
         np.testing.assert_allclose(shown[-1].numpy(), ahead.numpy(), atol=1e-3)
-
-
-def test_exact_states_need_an_observer_where_inputs_are_late(exact, late):
-    """States that are cubic in time are as exact as a log shows; each is measured all the same."""
-    t = torch.linspace(0.31, 1.17, 401, dtype=torch.float64)
-    x = torch.stack([t**3, 3 * t**2], -1)
-    smooth = replace(exact, training=replace(exact.training, x=x[:300], x_next=x[1:301]))
-    assert len(exact.training) == 300
-    found = _sensors_of(smooth, late)
-    assert list(found.channels) == ["theta", "Omega"]
-    assert all(channel.noise < 1e-6 and channel.resolution == 0 for channel in found.channels.values())
-    prompt = copy.copy(late)
-    prompt.delay = 0.0
-    assert _sensors_of(smooth, prompt) is None
 
 
 def held_with(integral, model):
@@ -352,10 +290,3 @@ def test_arguments_of_other_kinds_are_refused_by_their_names(call):
     model = SindyModel(log.signature, "polynomial")
     with pytest.raises(ValueError, match=r"^\w+ has [a-z]\S*=.*$"):
         call(log, model)
-
-
-def test_files_may_stand_in_any_container(write_log, tmp_path):
-    t = torch.arange(400).double().unsqueeze(-1)
-    write_log(tmp_path / "log.csv", ["v [rad/s]", "u"], (0.01 * t).sin(), (0.2 * t).sin().sign())
-    found = [dynasindy.read(each) for each in (tmp_path.glob("*.csv"), np.array([str(tmp_path / "log.csv")]))]
-    assert len(found[0].training) == len(found[1].training) > 100

@@ -91,10 +91,10 @@ def test_a_tensor_that_was_replaced_is_the_one_that_learns(replace):
     assert all(torch.equal(a, b) for a, b in zip(weights(agent).values(), weights(whole).values(), strict=True))
 
 
-@needs_compiler
+@pytest.mark.parametrize("place", [0, 1], ids=["machine code", "torch"])
 @pytest.mark.parametrize("kind", ["critics", "actor"])
-def test_no_weight_moves_by_a_loss_that_is_refused(kind):
-    agent = pair()[0]
+def test_no_weight_moves_by_a_loss_that_is_refused(place, kind):
+    agent = pair()[place]
     before = {name: value.clone() for name, value in weights(agent).items()}
 
     def refuse(loss, what):

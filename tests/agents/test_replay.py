@@ -54,17 +54,6 @@ def test_real_rollouts_are_flattened_and_reduced_to_their_keys():
     assert set(replay.real[:].keys(True, True)) - {"index"} == set(REAL_KEYS)
 
 
-def test_a_transform_may_turn_what_is_written_into_rows():
-    class Imagine(Transform):
-        def _inv_call(self, tensordict):
-            return rows(7 * len(tensordict), value=10_000)
-
-    replay = filled(model=0)
-    replay.model.append_transform(Imagine())
-    replay.model.extend(TensorDict({"state": torch.zeros(3, 6)}, [3]))
-    assert len(replay.model) == 21
-
-
 def test_seed_decides_the_batches_and_the_global_generator_does_not():
     drawn = []
     for seed, other in ((1, 3), (1, 4), (2, 3)):

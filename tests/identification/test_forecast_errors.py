@@ -157,17 +157,6 @@ def test_an_angle_that_turns_over_changes_by_the_spread_of_a_turn(unit, turn):
     assert characteristic(Transitions.from_trajectory(x, x, DT), signature) == pytest.approx(2 / 12**0.5, rel=0.15)
 
 
-def test_a_second_order_plant_is_met_exactly_by_a_linear_model_on_two_past_samples():
-    data, x = recording()
-    model = LinearModel.fit(data, 20, 16)
-    starts = torch.tensor([200, 500])
-    later = starts.unsqueeze(-1) + torch.arange(50)
-    predicted = model.predict(data, starts, later)
-    assert np.allclose(predicted[..., 0], x[later + 1, 0], atol=1e-6) and bool(predicted[..., 1].isnan().all())
-    if model.order == 2:  # the recursion of an oscillator: q+ = 2 cos(w dt) q - q-
-        assert model.weights[:2, 0].tolist() == pytest.approx([2 * math.cos(OMEGA * DT), -1.0], abs=1e-6)
-
-
 def second_order(n: int = 300) -> Transitions:
     """y[k+1] = 1.2 y[k] - 0.5 y[k-1] + 0.7 u[k] - 0.2 u[k-1] + 0.1, and a state that nobody measured."""
     u = np.random.default_rng(0).normal(size=n)

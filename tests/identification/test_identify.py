@@ -104,27 +104,6 @@ def test_a_log_without_a_map_has_the_names_of_the_plant_or_those_of_its_headings
     assert mine.input_names == ("torque",)
 
 
-def test_a_plant_that_leaves_its_bounds_begins_anew_and_is_held_there():
-    source = Simulated(bounds={"theta": 1.0}, validation_seconds=1.0).load(
-        Pendulum(), partial(EXCITATION, amplitude=0.1)
-    )
-    assert source.findings == () and len(source.training) == 1000
-    held = Simulated(bounds={"theta": 0.1}, validation_seconds=1.0).load(Pendulum(), EXCITATION)
-    assert [each.code for each in held.findings] == ["excitation.restarts"] and len(held.training) == 1000
-    assert float(held.training.x[::5, 0].abs().max()) <= 0.1  # no control period begins beyond
-
-
-def test_validation_is_random_levels_of_seven_tenths_of_the_range_about_the_same_offset():
-    chirp = partial(Chirp, duration=5.0, amplitude=0.6, offset=0.2)
-    one, other = (Simulated(0.02, substeps=1, validation_seconds=6.0, seed=s).load(Pendulum(), chirp) for s in (0, 1))
-    u = one.validation.u
-    assert (len(one.training), len(one.validation), one.validation.dt) == (250, 300, 0.02)
-    expected = Aprbs(1, 6.0, amplitude=0.42, offset=0.2, seed=1).samples(0.02)  # the next seed
-    torch.testing.assert_close(u, expected.to(u))
-    assert not torch.equal(u, other.validation.u) and one.findings == ()
-    assert torch.equal(one.training.u, other.training.u)  # a chirp has no seed
-
-
 def test_the_simulated_plant_begins_where_it_is_said_to():
     begun = Simulated(validation_seconds=2.0, start={"theta": 0.5}).load(Pendulum(), partial(Chirp, duration=2.0))
     assert begun.training.x[0].tolist() == begun.validation.x[0].tolist() == [0.5, 0.0]

@@ -15,7 +15,6 @@ from dynasindy.identification import log_fit as module
 from dynasindy.identification.log_fit import HoldOut, fit_log
 from dynasindy.identification.source import Source
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.sindy.named_libraries import auto_rig
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -129,24 +128,6 @@ def test_every_place_has_its_rate_where_one_lacks_it():
     assert {key: coefficient(found.model, *key) for key in names} == pytest.approx(names, rel=0.1)
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("one_fold")
-def test_a_current_beside_an_angle_gets_no_rate():
-    """A motor, angle'' = 30 i - 2 angle' and i' = 60 (u - i) - 6 angle', in steps of 0.02 s; the rate is not read."""
-    u, dt = steps(5, 20, 15), 0.02
-    rates = np.array([[0, 0, 1.0], [0, -60, -6], [0, 30, -2]])
-    a, b, *_ = cont2discrete((rates, np.array([[0], [60.0], [0]]), np.eye(3), 0), dt)
-    x = [np.zeros(3)]
-    for held in u:
-        x.append(a @ x[-1] + b[:, 0] * held)
-    y = np.stack(x)[:, :2] + np.random.default_rng(6).normal(0, (0.002, 0.03), (len(x), 2))
-    found = fitted(source_of(y, u, dt, ("angle", "i"), ("rad", "A")))
-    assert found.model.signature.state_names == ("angle", "i", "angle_rate")
-    assert {f.code: f.values for f in found.report.findings}["fit.added_rates"]["states"] == ["angle_rate"]
-    names = {("angle_rate", "i"): 30.0, ("i", "i"): -60.0, ("i", "u"): 60.0}
-    assert {key: coefficient(found.model, *key) for key in names} == pytest.approx(names, rel=0.05)
-
-
 @pytest.mark.usefixtures("one_fold")
 def test_what_pushes_the_plant_does_not_bias_its_equations():
     """x[k+1] = A x[k] + B u[k] + w[k] of y'' = -4 y - y' + 3 u with random pushes, y measured with noise."""
@@ -177,60 +158,6 @@ def test_an_input_that_acts_late_and_through_a_lag_is_found():
     assert model.followed == {"u_lagging": "u"} and model.delay == pytest.approx(late * dt + ahead, abs=dt / 4)
     rates = sorted([float(model.coefficients[-1, -1]), -coefficient(model, "y", "y")])
     assert rates == pytest.approx([1.0, 2.0], rel=0.1), "which of both is the lag no output tells"
-
-
-def test_a_larger_library_begins_with_the_equations_that_each_part_of_the_log_gave(monkeypatch):
-    """Of v' = -3 tanh(v / width) + 8 u each part gives another width, none is the first guess, and none is lost."""
-    monkeypatch.setattr(module, "FOLDS", 2)
-    u, v, rng = steps(0, 25, 6), [0.5], np.random.default_rng(7)
-    for held in u:
-        own = solve_ivp(lambda t, x: -3 * np.tanh(10 * x) + 8 * held, (0, 0.05), v[-1:], rtol=1e-6)  # noqa: B023
-        v.append(own.y[0, -1] + rng.normal(0, 0.02))
-    source, ends = source_of(v, u, 0.05, ("v",), ("m/s",)), []
-    speeds, force = (torch.linspace(-1, 1, 21, dtype=torch.float64).unsqueeze(-1) * scale for scale in (1, -0.7))
-    larger = set()
-
-    def _fit(model, data):
-        library = model.library
-        if model.initial is not None and library.shapes:
-            begun = library(speeds, force) @ model.initial
-            assert min(float((begun - each).abs().max()) for each in ends) < 1e-12
-            if len(library) > len(auto_rig(source.signature)):
-                larger.add(library.shapes[0].frequency)
-        if len(larger) == 2:
-            raise StopIteration  # what follows is not looked at
-        last = torch.equal(data.x[-1], source.training.x[-1])
-        model.library = library.with_shapes([9.5 if last else 10.5 for _ in library.shapes])
-        given = {"u": 8.0, "v": 0.0 if library.shapes else -3.0} | {each.text(): -3.0 for each in model.library.shapes}
-        known = [[given.get(name, 0.0)] for name in model.library.names]
-        model.set_coefficients(torch.tensor(known, dtype=torch.float64))
-        ends.append(model.library(speeds, force) @ model.coefficients)
-
-    monkeypatch.setattr(SindyModel, "fit", _fit)
-    with pytest.raises(StopIteration):
-        fitted(source)
-
-
-@pytest.mark.usefixtures("one_fold")
-def test_of_two_angles_regressions_choose_among_all_functions_but_those_divided_by_an_inertia(monkeypatch):
-    signature = Signature(("p", "q", "p_rate", "q_rate"), ("rad", "rad", "rad/s", "rad/s"), ("u",), (1.0,) * 4)
-    x = np.random.default_rng(0).normal(0, 1, (101, 4))
-    source, regressed = source_of(x, steps(1, 10, 10), 0.1, signature.state_names, signature.state_units), []
-
-    def _factors(library):
-        return [[(factor.function, factor.variables) for factor in each.factors] for each in library.features]
-
-    def _fit(model, data):
-        if model.refinement.method == "trajectory" and model.refinement.rounds:
-            regressed.extend(_factors(model.library))
-            raise StopIteration  # what follows is not looked at
-        model.set_coefficients(-1e-3 * model.constraints.free.double() + model.constraints.offset)
-
-    monkeypatch.setattr(SindyModel, "fit", _fit)
-    with pytest.raises(StopIteration):
-        fitted(source, known={"p": "p_rate", "q": "q_rate"})
-    words = auto_rig(signature)
-    assert regressed == [each for name, each in zip(words.names, _factors(words), strict=True) if "/" not in name]
 
 
 def noisy_tank(rows=600, pushes=0.01):

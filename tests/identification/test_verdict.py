@@ -1,7 +1,6 @@
 """A verdict follows from the errors over the horizon that matters, whatever the errors of one sample are."""
 
 import math
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -110,18 +109,6 @@ def test_the_table_holds_measured_states_alone():
     assert [line.split()[-2] for line in lines[3:6]] == ["0.002", "1", "0.1"]  # over 2 s
     assert [line.split("  ")[2] for line in lines[3:6]] == ["model", "linear model", "last value held"]
     assert "past" in lines[0]
-
-
-@pytest.mark.parametrize(("columns", "tables"), [(None, [3]), (80, [3]), (54, [3]), (53, [2, 1]), (20, [1, 1, 1])])
-def test_columns_of_the_table_end_under_their_horizons_and_lines_fit_the_terminal(columns, tables):
-    """The longest name has 15 characters, with 6 around it, and each horizon 11: three need 54."""
-    lines = table(forecasts(0.002), SIGNATURE, columns)[1:]
-    heads = [k for k, line in enumerate(lines) if re.fullmatch(r"( +[\d.]+ s)+", line)]
-    assert [len(re.findall(r"[\d.]+ s", lines[k])) for k in heads] == tables
-    for head in heads:
-        for line in lines[head + 2 : head + 5]:
-            assert len(line) == len(lines[head])
-            assert columns is None or tables == [1, 1, 1] or len(line) <= columns
 
 
 def test_an_input_is_known_between_the_ends_of_a_log_where_the_equations_bend_in_it():

@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from dynasindy.findings import note
-from dynasindy.identification.source import Source
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.lag_states import (
     TIMES,
@@ -51,13 +50,13 @@ def moved(field, start, u, dt):
 
 
 @cache
-def arm(lag=0.0, creep=0.0):
-    """An arm that hangs, read by an encoder: its motor may lag, and a spring may be fixed to what creeps after it."""
+def arm(lag=0.0):
+    """An arm that hangs, read by an encoder, whose motor may lag."""
 
     def field(x, u):
         acting = x[2] if lag else u[0]
         rates = [(u[0] - x[2]) / (lag or 1), (x[0] - x[3]) / 0.4]
-        return torch.stack([x[1], 8 * acting - 0.5 * x[1] - 9 * torch.sin(x[0]) - creep * (x[0] - x[3]), *rates])
+        return torch.stack([x[1], 8 * acting - 0.5 * x[1] - 9 * torch.sin(x[0]), *rates])
 
     u = levels(36, 25)
     angle = (moved(field, [0.0] * 4, u, DT)[:, :1] / STEP).round() * STEP
@@ -178,17 +177,6 @@ def test_a_state_that_follows_an_input_and_tells_nothing_is_not_clear():
     assert clear == [False, True]
 
 
-def test_what_creeps_after_an_angle_acts_in_the_equation_of_its_rate():
-    """w' has -5 (q - q_lagging), and q_lagging' = (q - q_lagging) / 0.4."""
-    data, model = arm(creep=5.0), made()
-    model.fit(data)
-    best = lag_state_candidates(model, data)[0]
-    assert best.followed == {"q_lagging": "q"} and best.followers == {2: 0}
-    best.fit(widened(data))
-    assert terms(best, "w")["(q - q_lagging)"] == pytest.approx(-5, rel=0.05)
-    assert terms(best, "q_lagging") == {"(q - q_lagging)": pytest.approx(2.5, rel=0.05)}
-
-
 def test_a_second_heat_store_is_found_from_the_temperature_of_the_first():
     """With a = (W - 8) / 0.6 the wall's W' = (T - W) / 600 + (20 - W) / 900 is a' = (T - a) / 360, and T' as below."""
     data = oven()
@@ -252,43 +240,3 @@ def behind(motor, samples):
         return torch.stack([8 * x[1] - 0.5 * x[0], (u[0] - x[1]) / motor])
 
     return Transitions.from_trajectory(moved(field, [0.0, 0.0], acting, DT)[:, :1], shown, DT), torch.tensor(driven)
-
-
-def of_wheel(data):
-    """The model with a motor that lags, of a wheel whose motor was first taken for a delay of ten samples."""
-    model = made(Signature(("w",), ("rad/s",), ("u",), (3.0,)), ["1", "w", "u", "w^2"], {}, "auto")
-    model.refinement = replace(model.refinement, longest_delay=None)
-    model.delay = 10 * DT
-    return lag_state_candidates(model, data)[0]
-
-
-def test_a_trial_tells_a_delay_from_a_lag_where_both_were_taken_for_one_delay():
-    data, _ = behind(0.15, 5)
-    best = of_wheel(data)
-    assert "u" in best.followed.values() and best.initial_delay == pytest.approx(5 * DT)
-    best.fit(widened(data))
-    assert best.delay == pytest.approx(5 * DT, abs=0.02 * DT)
-    assert terms(best, "u_lagging") == {"(u - u_lagging)": pytest.approx(1 / 0.15, rel=0.01)}
-    assert terms(best, "w") == {"u_lagging": pytest.approx(8, rel=0.01), "w": pytest.approx(-0.5, rel=0.02)}
-
-
-def test_a_log_lacks_followers_of_its_model_alone_and_other_names_are_another_plant():
-    """A name that differs is refused, and so is a state that no sensor sees but which follows nothing."""
-    u = levels(4, 2)
-    data = Transitions.from_trajectory(torch.rand(9, 2).double(), u, DT)
-    names = ("q", "w", "u_lagging")
-    signature = Signature(names, ("rad", "rad/s", "1"), ("u",), (1.0, 3.0, 1.0))
-    words = ["w", "u", "(u - u_lagging)"]
-    lagging = SindyModel(signature, words, known={"q": "w"}, allowed={"u_lagging": ["(u - u_lagging)"]})
-
-    def completed(names: tuple[str, ...], model: SindyModel) -> Transitions:
-        log = Source(Signature(names, ("rad", "rad/s"), ("u",), (1.0, 3.0)), data, data)
-        return log.with_states_of(model).training
-
-    whole = completed(("q", "w"), lagging)
-    assert torch.equal(whole.x[:, :2], data.x) and torch.equal(whole.x_next[:, :2], data.x_next)
-    assert bool(whole.x[:, 2].isnan().all() & whole.x_next[:, 2].isnan().all())
-    free = SindyModel(signature, words, known={"q": "w"})  # whose third state is any state
-    for names, model in ((("w", "q"), lagging), (("q", "v"), lagging), (("q", "w"), free)):
-        with pytest.raises(ValueError, match="plant"):
-            completed(names, model)

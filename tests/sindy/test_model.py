@@ -17,7 +17,7 @@ from dynasindy.findings import weak
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.library import CONSTANT, Library, variable
-from dynasindy.systems import Diverged, Pendulum, Tras, Xi, integrate
+from dynasindy.systems import Diverged, Tras, Xi, integrate
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 
@@ -118,18 +118,6 @@ def test_known_rows_masks_and_fixed_coefficients_are_kept():
     assert found["omega_p", "omega_p"] == pytest.approx(-1.4193, rel=0.1)
 
 
-def test_a_loaded_model_keeps_what_was_known_when_it_is_fitted_again(tmp_path):
-    model = SindyModel(Xi().signature, "paper_table", known=KNOWN, fixed={"omega_p": {"u_p": 5e3}})
-    model.fit_derivatives(*(points := _points()), Xi()(*points))
-    model.save(tmp_path / "model.json")
-    again = SindyModel.load(tmp_path / "model.json")
-    again.regression = Regression("bic")
-    again.fit_derivatives(*points, Xi()(*points) + 1.0)
-    found = _found(again)
-    assert {key: v for key, v in found.items() if key[0] in KNOWN} == dict.fromkeys(KNOWN.items(), 1.0)
-    assert found["omega_p", "u_p"] == 5e3
-
-
 @pytest.mark.parametrize("time", ["continuous", "discrete"])
 @pytest.mark.parametrize("method", ["auto", "one_step", "trajectory", "integral"])
 def test_a_log_of_nothing_but_noise_is_no_error(method, time):
@@ -165,61 +153,6 @@ def test_coefficients_that_are_not_finite_are_told_and_the_model_stays(stage):
     with pytest.raises(Diverged, match=told):
         model.fit(data)
     assert torch.equal(model.coefficients, before)
-
-
-def _pendulum(seed: int, noise: float, n: int = 400) -> Transitions:
-    """The angle of a pendulum under held inputs, some samples lost, and no rate."""
-    plant, rng = Pendulum(), np.random.default_rng(seed)
-    u = torch.from_numpy(rng.uniform(-1, 1, (n // 8, 1)).repeat(8, 0))
-    x = [torch.zeros(2, dtype=torch.float64)]
-    for held in u:
-        x.append(integrate(plant, x[-1], held, 0.02, 10)[0][-1])
-    seen = torch.stack(x) + noise * torch.from_numpy(rng.normal(size=(n + 1, 2)))
-    seen[:, 1] = torch.nan
-    seen[rng.choice(n, 20, replace=False), 0] = torch.nan
-    return Transitions.from_trajectory(seen, u, 0.02)
-
-
-def test_a_pendulum_is_found_from_its_angle_alone():
-    words = ["Omega", "sin(theta)", "u", "1", "cos(theta)", "theta"]
-    model = SindyModel(Pendulum().signature, words, Regression("bic"), Refinement(), known={"theta": "Omega"})
-    data = Transitions.cat([_pendulum(seed, 1e-3) for seed in (0, 1)])
-    assert model.fit(data).samples == 800
-    # Mass 1 kg, length 1 m, damping 0.5 N m s, torque 12 N m.
-    expected = {("theta", "Omega"): 1, ("Omega", "Omega"): -0.5, ("Omega", "sin(theta)"): -9.81, ("Omega", "u"): 12}
-    assert _found(model) == pytest.approx(expected, rel=5e-3)
-    assert model.delay == 0.0
-
-
-FLOW, DRAIN, THROUGH, OUT = 0.8, 1.2, 0.9, 0.4
-
-
-def _tanks(noise: float) -> Transitions:
-    """Exact levels of two tanks, h' = FLOW u - DRAIN h and l' = THROUGH h - OUT l; h is never measured."""
-    field = np.array([[-DRAIN, 0, FLOW], [THROUGH, -OUT, 0], [0, 0, 0]])
-    step, rng = expm(0.1 * field), np.random.default_rng(6)
-    u, x = rng.uniform(0, 2, 30).repeat(10), [np.zeros(2)]
-    for held in u:
-        x.append((step @ [*x[-1], held])[:2])
-    seen = np.array(x) + noise * rng.normal(size=(301, 2))
-    seen[:, 0] = np.nan
-    return Transitions.from_trajectory(torch.from_numpy(seen), torch.from_numpy(u)[:, None], 0.1)
-
-
-@pytest.mark.parametrize(("noise", "error"), [(1e-5, 1e-3), (1e-3, 0.02)])
-def test_a_state_that_nobody_ever_measured_is_found_from_a_first_guess(noise, error):
-    signature = Signature(("h", "l"), ("m", "m"), ("u",), (1.0, 1.0))
-    model = SindyModel(
-        signature,
-        ["h", "l", "u", "1"],
-        refinement=Refinement("trajectory"),
-        allowed={"h": ["h", "1"], "l": ["h", "l", "1"]},
-        fixed={"h": {"u": FLOW}},
-        initial={"h": {"h": -0.9}, "l": {"h": 0.7, "l": -0.6}},
-    )
-    model.fit(_tanks(noise))
-    expected = {("h", "h"): -DRAIN, ("h", "u"): FLOW, ("l", "h"): THROUGH, ("l", "l"): -OUT}
-    assert _found(model) == pytest.approx(expected, rel=error)
 
 
 def test_what_a_fit_changes_besides_coefficients_is_kept_in_its_state():
@@ -260,36 +193,6 @@ def test_of_functions_that_look_alike_those_stay_that_hold_farther_out(seed):
     wanted, still = plant(far, 0 * far[:, :1]), 0 * far[:, :1]
     assert (model(far, still) - wanted).norm(dim=0)[1] < 0.2 * wanted.norm(dim=0)[1]  # all functions: by far more
     assert int((model.coefficients[:, 1] != 0).sum()) <= 5
-
-
-def test_a_general_library_is_cut_to_the_size_of_the_data_and_a_state_remembers_how():
-    n = 20
-    names = [f"{kind}{k}" for kind in "xv" for k in range(n)]
-    signature = Signature(tuple(names), ("m",) * n + ("m/s",) * n, ("f",), (0.2,) * n + (0.5,) * n)
-    pull = np.diag(-20.0 * np.ones(n)) + np.diag(10.0 * np.ones(n - 1), 1) + np.diag(10.0 * np.ones(n - 1), -1)
-    a = np.block([[np.zeros((n, n)), np.eye(n)], [pull, 0.03 * pull]])
-    b = np.zeros((2 * n, 1))
-    b[n] = 5.0
-    flow = expm(0.05 * np.block([[a, b], [np.zeros((1, 2 * n + 1))]]))
-    u = np.random.default_rng(0).uniform(-1, 1, 100).repeat(4)
-    x = [np.zeros(2 * n)]
-    for held in u:
-        x.append((flow @ [*x[-1], held])[: 2 * n])
-    data = Transitions.from_trajectory(torch.from_numpy(np.array(x)), torch.from_numpy(u)[:, None], 0.05)
-    known = {f"x{k}": f"v{k}" for k in range(n)}
-    model, other = (
-        SindyModel(signature, "polynomial", Regression("bic", tolerance=1e-4), Refinement("integral"), known)
-        for _ in range(2)
-    )
-    whole = len(model.library)
-    report = model.fit(data)
-    assert whole == 903 and len(model.library) <= len(data) // 5
-    assert [each.code for each in report.findings][:1] == ["fit.library_cut"]
-    other.load_state_dict(model.state_dict())
-    x, u = torch.randn(5, 2 * n).double(), torch.randn(5, 1).double()
-    assert torch.equal(other(x, u), model(x, u))
-    wanted = x.numpy() @ a.T + u.numpy() @ b.T
-    assert np.abs(model(x, u).numpy() - wanted).max() < 0.02 * np.abs(wanted).max()
 
 
 class Coupled(System):
