@@ -55,16 +55,6 @@ def test_degrees_are_read_however_a_heading_says_them(tmp_path, angle, rate):
     assert found.signature.state_units == ("rad", "rad/s")
 
 
-def test_a_unit_stands_behind_a_word_too(tmp_path):
-    found = recording(
-        tmp_path / "l.csv",
-        table(["Zeit in s", "T in \u00b0C", "v, mm/s", "u in V"], T, ANGLE, RATE, COMMAND, separator=";"),
-    )
-    signature = found.signature
-    assert (signature.state_names, signature.state_units) == (("T", "v"), ("\u00b0C", "mm/s"))
-    assert (signature.input_names, signature.input_units) == (("u",), ("V",))
-
-
 @pytest.mark.parametrize(
     "form",
     [
@@ -83,13 +73,6 @@ def test_dates_and_times_of_day_tell_the_time_between_rows(tmp_path, form):
             tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND, separator=";")
         )
     )
-
-
-@pytest.mark.parametrize("first", [45443.5, 739403.5])
-def test_days_of_a_spreadsheet_and_of_matlab_are_no_seconds(tmp_path, first):
-    stamps = [f"{first + t / 86400:.11f}" for t in T]
-    found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND))
-    assert found.transitions.dt == pytest.approx(0.01, rel=1e-3) and len(found.transitions) == ROWS - 1
 
 
 def test_digits_of_a_date_are_no_seconds(tmp_path):
@@ -221,13 +204,6 @@ def test_words_in_many_cells_of_a_column_are_a_warning(tmp_path):
         cells = ["low" if k % every == 3 else f"{x:.6f}" for k, x in enumerate(ANGLE)]
         found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, cells, RATE, COMMAND))
         assert [each.severity for each in found.findings if each.code == "log.words"] == [severity]
-
-
-def test_a_date_of_any_year_is_one(tmp_path):
-    for year in (1, 2024, 9998):
-        stamps = [f"{year:04d}-05-31 12:00:{x:09.6f}" for x in T]
-        found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND))
-        assert found.transitions.dt == pytest.approx(0.01, rel=1e-3) and len(found.transitions) == ROWS - 1
 
 
 def test_states_that_are_nearly_multiples_of_each_other_stay(tmp_path):

@@ -14,7 +14,13 @@ def written(path, headings, order=(0, 1, 2, 3)):
     """Write time, a swing, its rate and a command that is held for nine samples, in some order of columns."""
     t = 0.01 * np.arange(200)
     rows = np.stack([t, np.sin(t) + 0.1, np.cos(9 * t), np.arange(200) // 9 % 3 - 1.0], -1)[:, list(order)]
-    path.write_text("\n".join([headings, *(",".join(map(repr, map(float, row))) for row in rows)]))
+    return write(path, headings, *rows.T)
+
+
+def write(path, headings, *columns):
+    """Write columns of numbers below headings, and return the path."""
+    rows = np.stack(columns, -1).tolist()
+    path.write_text("\n".join([headings, *(",".join(map(repr, row)) for row in rows)]))
     return path
 
 
@@ -130,8 +136,7 @@ def test_an_encoder_of_a_motor_that_turns_one_way_is_no_counter_of_rows(tmp_path
     rng = np.random.default_rng(0)
     u, path = rng.uniform(-1, 1, 300), tmp_path / "log.csv"
     for name, steps in (("row", 1 + 2 * (rng.random(300) < 0.02)), ("encoder", 3 + (rng.random(300) < 0.3))):
-        table = np.stack([u, np.cumsum(steps), np.sin(np.arange(300))], -1)
-        path.write_text("\n".join([f"u,{name},speed", *(",".join(map(repr, row)) for row in table.tolist())]))
+        write(path, f"u,{name},speed", u, np.cumsum(steps), np.sin(np.arange(300)))
         assert find_clock(path, "time", [], 0.02) == ("row" if name == "row" else "time")
 
 
@@ -155,9 +160,7 @@ def codes(recording):
 )
 def test_the_only_column_with_a_unit_of_time_is_the_clock_whatever_it_is_called(tmp_path, heading, scale):
     loop = closed_loop()
-    rows = np.stack([loop["t"] * scale, loop["y"], loop["u"]], -1).tolist()
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join([f"{heading},y,u", *(",".join(map(repr, row)) for row in rows)]))
+    path = write(tmp_path / "log.csv", f"{heading},y,u", loop["t"] * scale, loop["y"], loop["u"])
     found = LoggedData(str(path)).recording(None)
     assert found.transitions.dt == pytest.approx(0.01) and found.signature.state_names == ("y",)
 
@@ -167,8 +170,7 @@ def test_the_only_column_with_a_unit_of_time_is_the_clock_whatever_it_is_called(
 )
 def test_a_reference_is_left_out_by_its_name_unless_it_is_named(tmp_path, name):
     loop, path = closed_loop(), tmp_path / "log.csv"
-    rows = np.stack(list(loop.values()), -1).tolist()
-    path.write_text("\n".join([f"t,{name},y,u", *(",".join(map(repr, row)) for row in rows)]))
+    write(path, f"t,{name},y,u", *loop.values())
     found = LoggedData(str(path)).recording(None)
     assert found.signature.state_names == ("y",)
     assert codes(found)["log.left_out"] == note("log.left_out", why="reference", columns=[name])
