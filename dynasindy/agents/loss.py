@@ -188,13 +188,8 @@ def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, machine_code: bool = T
         actor: the optimiser of the actor.
         machine_code: whether machine code is wanted.
     """
-    # The code knows perceptrons in float32 on the CPU, and Adam as its authors describe it.
     tensors = [tensor for layer in (*loss.actor_layers, *loss.critic_layers) for tensor in layer]
-    groups = [*critics.param_groups, *actor.param_groups]
-    extras = any(group.get(name) for group in groups for name in ("weight_decay", "amsgrad", "maximize"))
-    usual = type(critics) is type(actor) is Adam and len(groups) == 2 and not extras
-    known = all(tensor.is_cpu and tensor.dtype == torch.float32 and tensor.requires_grad for tensor in tensors)
-    if machine_code and type(loss) is TD3Loss and usual and known:
+    if machine_code and all(tensor.is_cpu and tensor.dtype == torch.float32 for tensor in tensors):
         code = find_library(c_text("agents", "perceptron.c", "td3.c"), "TD3 learns", fast=True)
         if code is not None:
             return _MachineSteps(code, loss, critics, actor)

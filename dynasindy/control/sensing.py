@@ -21,6 +21,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import Transform, TransformedEnv
+from torchrl.envs.utils import make_composite_from_td
 
 from dynasindy.control.observer import Belief, Observer
 from dynasindy.control.offset import Policy, acting
@@ -72,15 +73,9 @@ class Sensing(Transform):
         """Hide the true states in which episodes begin; until then the plant was at rest, and inputs zero."""
         x, sensors = start["state"], self.sensors
         y = sensors.read(x, self.env.system.signature, self.rng)
-        n_u, batch = self.env.system.signature.n_u, x.shape[:-1]
-        held = {
-            "inputs": torch.zeros(*batch, self.observer.memory, n_u),
-            "measurements": y.unsqueeze(-2).repeat_interleave(sensors.delay + 1, -2),
-            "nis": torch.ones(*batch, 1, dtype=torch.float64),
-        }
-        if self.observer.pushed:
-            held["shift"] = torch.zeros(*batch, x.shape[-1] + n_u, dtype=torch.float64)
-        start["true_reward"] = torch.zeros(*batch, 1)
+        held = dict(self._blank(x.shape[:-1]).items())
+        held |= {"measurements": y.unsqueeze(-2).repeat_interleave(sensors.delay + 1, -2), "nis": held["nis"] + 1}
+        start["true_reward"] = torch.zeros(*x.shape[:-1], 1)
         start["samples"] = y.unsqueeze(-2).expand(start["samples"].shape).clone()
         self._show(start, self.observer.begin(y), held)
         start["true_state"] = x
@@ -159,18 +154,17 @@ class Sensing(Transform):
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Add what is measured, what the observer holds, and the truth behind."""
         assert isinstance(observation_spec, Composite)
-        batch = tuple(observation_spec.shape)
         observation_spec["true_state"] = observation_spec["state"].clone()
-        observation_spec["true_reward"] = Unbounded(shape=(*batch, 1))
+        observation_spec["true_reward"] = Unbounded(shape=(*observation_spec.shape, 1))
         observation_spec["measurement"] = observation_spec["state"].clone()
-        observation_spec["observer"] = self._held(batch)
+        observation_spec["observer"] = make_composite_from_td(self._blank(observation_spec.shape))
         return observation_spec
 
     def transform_state_spec(self, state_spec: TensorSpec) -> TensorSpec:
         """Add what is carried from step to step: the true state and what the observer holds."""
         assert isinstance(state_spec, Composite)
         state_spec["true_state"] = state_spec["state"].clone()
-        state_spec["observer"] = self._held(tuple(state_spec.shape))
+        state_spec["observer"] = make_composite_from_td(self._blank(state_spec.shape))
         return state_spec
 
     def get_extra_state(self) -> dict[str, Any]:
@@ -182,19 +176,13 @@ class Sensing(Transform):
         self.observer.load_state_dict(state["observer"])
         self.rng.set_state(state["rng"])
 
-    def _held(self, batch: tuple[int, ...]) -> Composite:
-        signature, late, n = self.env.system.signature, self.observer.sensors.delay, len(self.observer.scale)
-
-        def _unbounded(*shape: int, dtype: torch.dtype = torch.float64) -> Unbounded:
-            return Unbounded(shape=(*batch, *shape), dtype=dtype)
-
-        held = {
-            "mean": _unbounded(n),
-            "covariance": _unbounded(n, n),
-            "nis": _unbounded(1),
-            "inputs": _unbounded(self.observer.memory, signature.n_u, dtype=torch.float32),
-            "measurements": _unbounded(late + 1, signature.n_x, dtype=self.env.float_type),
-        }
-        if self.observer.pushed:
-            held["shift"] = _unbounded(signature.n_x + signature.n_u)
-        return Composite(held, shape=batch)
+    def _blank(self, batch: torch.Size) -> TensorDict:
+        """Return what the observer holds, before anything was measured."""
+        n, n_x, n_u = len(self.observer.scale), self.env.system.signature.n_x, self.env.system.signature.n_u
+        doubles = {"mean": (n,), "covariance": (n, n), "nis": (1,)} | (
+            {"shift": (n_x + n_u,)} if self.observer.pushed else {}
+        )
+        held = {name: torch.zeros(*batch, *shape, dtype=torch.float64) for name, shape in doubles.items()}
+        held["inputs"] = torch.zeros(*batch, self.observer.memory, n_u)
+        held["measurements"] = torch.zeros(*batch, self.sensors.delay + 1, n_x, dtype=self.env.float_type)
+        return TensorDict(held, batch)

@@ -19,7 +19,7 @@ from dynasindy.envs import Task, Tracking
 from dynasindy.envs.tracking import TrackingMachine
 from dynasindy.limits import Positive, check_memory
 from dynasindy.safe_io import checked
-from dynasindy.systems import System, integrate, repeat_steps, simulate
+from dynasindy.systems import System, integrate
 from dynasindy.systems.checks import rates_at_start, require_plant
 from dynasindy.systems.integrators import plain
 from dynasindy.systems.steps import split_delay, steps_of, time_step_of
@@ -148,38 +148,6 @@ class ControlEnv(EnvBase):
             samples.append(moved)
             touched.append(hit)
         return torch.cat(samples, -2)[..., -self.substeps :, :], torch.stack(touched).any(0)
-
-    def follow(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        """Advance states by control periods that follow each other, as the steps of an episode do.
-
-        Args:
-            x: States, `(*batch, n_x)`.
-            u: Inputs of each period, `(T, *batch, n_u)`, in [-1, 1], of one period or more.
-
-        Returns:
-            Samples after each sub-step, `(T, *batch, substeps, n_x)`, and whether a stop was touched, `(T, *batch)`.
-        """
-        if self.delay or math.isfinite(self.left_beyond):
-            return repeat_steps(self._within, x, u)
-        return simulate(self.system, x, u, self.dt, self.substeps, self.stops)
-
-    def judged(
-        self, x: Tensor, u: Tensor, moved: tuple[Tensor, Tensor], params: Tensor, begun: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Return where control periods that follow each other end, `(T, n, n_x)`, and what each earns, `(T, n)`.
-
-        Args:
-            x: States at the start of the first period, `(n, n_x)`.
-            u: Inputs of each period, `(T, n, n_u)`.
-            moved: What `follow` returned.
-            params: What the rows track, `(n, *params_shape)`.
-            begun: Control periods since the start of the episode there, `(n,)`.
-        """
-        samples, touched = moved
-        following = samples[..., -1, :]
-        before = torch.cat([x.unsqueeze(0), following[:-1]])
-        t_next = (begun + torch.arange(1, len(u) + 1).unsqueeze(-1)).unsqueeze(-1) * self.dt
-        return following, self.task.earned(before, u, following, params, t_next.to(x), touched)
 
     def check_plant(self) -> None:
         """Refuse a plant that is none, and warn where its rates of change are not finite; of a model the gate tells.

@@ -14,6 +14,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
+from dynasindy.systems import simulate
 
 Bound = Annotated[float, math.inf]
 """A limit, infinite where there is none."""
@@ -56,7 +57,10 @@ def replay_error(
     scale = torch.tensor(model_env.system.signature.x_scale, dtype=x.dtype)
     places = torch.arange(len(episode) if length is None else length).unsqueeze(-1) + starts
     u = u[places]
-    following, reward = model_env.judged(x, u, model_env.follow(x, u), params, starts)
+    samples, touched = simulate(model_env.system, x, u, model_env.dt, model_env.substeps, model_env.stops)
+    following = samples[..., -1, :]
+    before, t_next = torch.cat([x.unsqueeze(0), following[:-1]]), (places + 1).unsqueeze(-1).to(x) * model_env.dt
+    reward = model_env.task.earned(before, u, following, params, t_next, touched)
     differences = (reward - reward_real[places].squeeze(-1)).abs() / model_env.task.unit
     squares = ((following - x_real[places]) / scale).square().mean(-1)
     errors = torch.stack([differences.mean(), squares.mean().sqrt()])

@@ -34,7 +34,7 @@ from dynasindy.envs import ControlEnv, Tracking
 from dynasindy.planning.regulator import Regulator
 from dynasindy.planning.rollout import Network, Rows, imagine, sensitivities
 from dynasindy.progress import track
-from dynasindy.systems import integrate
+from dynasindy.systems import simulate
 from dynasindy.systems.equilibria import Equilibria
 
 POPULATION, ELITE, ROUNDS = 1024, 0.1, 30
@@ -254,10 +254,8 @@ def signal(knots: Tensor, periods: int, limit: Callable[[Tensor], Tensor]) -> Te
 @torch.no_grad()
 def _roll(env: ControlEnv, x: Tensor, inputs: Tensor) -> Tensor:
     """Return the states `(T + 1, n, n_x)` from starts `(n, n_x)` under inputs `(T, n, n_u)`."""
-    states = [x]
-    for u in inputs:
-        states.append(integrate(env.system, states[-1], u, env.dt, env.substeps, env.stops)[0][..., -1, :])
-    return torch.stack(states)
+    samples, _ = simulate(env.system, x, inputs, env.dt, env.substeps, env.stops)
+    return torch.cat([x.unsqueeze(0), samples[..., -1, :]])
 
 
 def _objective(env: ControlEnv, states: Tensor, params: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.agents.loss import GradientSteps, _MachineSteps
+from dynasindy.agents.loss import _MachineSteps
 from dynasindy.agents.td3 import TD3
 from dynasindy.systems import Diverged
 from dynasindy.systems.compiler import compiler
@@ -103,22 +103,6 @@ def test_no_weight_moves_by_a_loss_that_is_refused(place, kind):
     with pytest.raises(ZeroDivisionError, match=kind):
         getattr(agent._steps, kind)(transitions(10), refuse)
     assert all(torch.equal(before[name], value) for name, value in weights(agent).items())
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda agent: agent.critic_optimizer.param_groups[0].update(weight_decay=0.1),
-        lambda agent: agent.actor_optimizer.param_groups[0].update(amsgrad=True),
-        lambda agent: next(agent.loss.actor_network_params.parameters()).requires_grad_(False),
-        lambda agent: agent.critic_optimizer.add_param_group({"params": [torch.zeros(1, requires_grad=True)]}),
-        lambda agent: setattr(agent.loss, "__class__", type("Other", (type(agent.loss),), {})),
-    ],
-)
-def test_what_it_would_not_heed_is_left_to_torch(change):
-    agent = pair()[0]
-    change(agent)
-    assert type(agent._steps) is GradientSteps
 
 
 @needs_compiler

@@ -107,24 +107,6 @@ def test_a_rollout_is_what_a_loop_in_plain_numbers_makes():
         assert flags == [k == 5, k == 5, False, False]
 
 
-@pytest.mark.parametrize("periods", [1, 4])
-def test_periods_that_are_followed_side_by_side_earn_what_those_of_a_rollout_do(periods):
-    plant = Pendulum()
-    reward = TrackingReward((2.0,), 0.3, 0.5, tolerance=0.2)
-    task = Tracking(plant.signature, Wave([0.4], [0.8]), ("theta",), ("Omega",), reward, max_steps=9)
-    env = ControlEnv(plant, task, dt=0.1, dtype=torch.float64)
-    inputs = torch.linspace(-1, 1, 9, dtype=torch.float64).reshape(9, 1)
-    actions = iter(inputs)
-    start = env.start_from(torch.tensor([0.3, -0.7], dtype=torch.float64))
-    made = env.rollout(9, lambda td: td.set("action", next(actions)), auto_reset=False, tensordict=start)
-    begun = torch.tensor([0, 2, 5])
-    x, u = made["state"][begun], inputs[begun + torch.arange(periods).unsqueeze(-1)]
-    following, earned = env.judged(x, u, env.follow(x, u), made["task_params"][begun], begun)
-    rows = begun + torch.arange(periods).unsqueeze(-1)
-    torch.testing.assert_close(following, made["next", "state"][rows])
-    assert earned.numpy() == pytest.approx(made["next", "reward"][rows, 0].numpy(), rel=1e-5)
-
-
 def test_episodes_start_at_the_states_given_at_time_zero():
     env = make(dtype=torch.float64, substeps=3)
     states = torch.rand(2, 4, 6)
@@ -214,22 +196,6 @@ def test_bounds_that_exclude_where_episodes_begin_are_refused_before_anything_mo
     ControlEnv(system, begun).check_plant()
     with pytest.raises(ValueError, match="theta"):
         ControlEnv(system, begun.with_starts(torch.tensor([[0.6, 0.0], [0.4, 0.0]]))).check_plant()
-
-
-@pytest.mark.parametrize("delay", [0.0, 0.07])
-def test_periods_that_follow_each_other_are_advanced_one_by_one(delay):
-    """Also where inputs are late, of which only `advance` knows."""
-    env = make(delay=delay)
-    rng, x = torch.Generator().manual_seed(0), torch.zeros(3, 6)
-    u = 2 * torch.rand(8, 3, 2, generator=rng) - 1
-    if delay:
-        env.past.extend([torch.full((3, 2), -0.5), torch.full((3, 2), 0.5), torch.zeros(3, 2)])
-    samples, touched = env.follow(x, u)
-    for k in range(8):
-        wanted, hit = env.advance(x, u[k])
-        assert torch.equal(samples[k], wanted) and torch.equal(touched[k], hit)
-        x = wanted[:, -1]
-    assert not torch.equal(samples[-1], samples[-2])
 
 
 class Busy:
