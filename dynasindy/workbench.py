@@ -35,9 +35,7 @@ import torch
 
 from dynasindy.agents import Actor
 from dynasindy.control import Controller, Observer
-from dynasindy.control.controller import ControlSetup
-from dynasindy.control.integral import IntegralAction
-from dynasindy.control.offset import acting
+from dynasindy.control.controller import ControlSetup, IntegralAction, acting
 from dynasindy.control.period import as_planned, suited_period
 from dynasindy.control.sensing import Sensing
 from dynasindy.envs import Channel, ControlEnv, RandomStep, Sensors, Tracking, TrackingReward

@@ -12,7 +12,7 @@ def main(cfg: Any) -> None:
     """Run the policy in each scenario, print its table and write its figures."""
     from saved_run import load_config, load_policy, load_scenario, load_sensing
 
-    from dynasindy.control.integral import IntegralAction
+    from dynasindy.control.controller import IntegralAction
     from dynasindy.evaluation.metrics import to_text
     from dynasindy.evaluation.scenarios import evaluate
     from dynasindy.evaluation.tracking_criteria import WITHIN, judge_control, judge_tracking

@@ -27,9 +27,8 @@ from dynasindy.control.period import suited_period
 from dynasindy.control.sensing import Sensing
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.folder import read_weights, result
 from dynasindy.dyna.recorder import Evaluating
-from dynasindy.dyna.run import run, run_report
+from dynasindy.dyna.run import read_weights, result, run, run_report
 from dynasindy.envs import Channel, ControlEnv, Sensors
 from dynasindy.evaluation.check import thin_margin
 from dynasindy.evaluation.scenarios import Policy, Scenario

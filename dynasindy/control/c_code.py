@@ -19,8 +19,7 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from dynasindy.control.controller import Array, Controller
-from dynasindy.control.integral import IntegralAction
+from dynasindy.control.controller import Array, Controller, IntegralAction
 from dynasindy.control.observer import FAR, LEAST, NUDGE, UNKNOWN
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.formulas import PLAIN, comment, formulas, number, right_sides

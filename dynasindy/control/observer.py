@@ -24,7 +24,6 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from dynasindy.control.offset import correction
 from dynasindy.envs.sensors import LONGEST, Sensors
 from dynasindy.findings import FindingError
 from dynasindy.sindy import SindyModel
@@ -41,7 +40,9 @@ FOLLOWING = 1e-3
 CANDIDATES = torch.logspace(-3, -1, 9, dtype=torch.float64)
 """Process noise to choose from. Innovations on the data of its fit flatter a model: all are doubted a little."""
 NUDGE = 1e-4
-"""Step of the central differences [ranges of the states]: in float64 they are right to some eight digits."""
+"""Step of the central differences [ranges of the states and of the inputs]: right to eight digits in float64."""
+STEPS, DAMPING = 2, 1e-4
+"""Gauss-Newton steps per control period by which a push is counteracted, and how much they are damped."""
 FAR = 1e3
 """Innovations that no plant has, and that count as lost samples [standard deviations]."""
 LEAST = 0.003
@@ -223,7 +224,9 @@ class Observer:
         return torch.where(x.isfinite(), x, mean)
 
     def correction(self, mean: Tensor, inputs: Tensor, outputs: Sequence[int], guess: Tensor) -> Tensor:
-        """Return what counteracts the estimated push, see `dynasindy.control.offset`; zero before there is a model.
+        """Return what of state and input counteracts the estimated push; zero before there is a model.
+
+        With it the plant is controlled free of offset: a constant push leaves no steady error.
 
         Args:
             mean: Estimate, `(*batch, n)`.
@@ -235,7 +238,7 @@ class Observer:
             return torch.zeros_like(guess)
         x, u, push = mean[..., : self.n_x], inputs[..., -1, :].double(), torch.zeros_like(mean[..., : self.n_x])
         push[..., self.pushed] = mean[..., self.n_x :]
-        return correction(self.system, x, u, push, outputs, guess)
+        return _correction(self.system, x, u, push, outputs, guess)
 
     def follow(self, y: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Filter a log.
@@ -445,3 +448,31 @@ class _Kinematic(System):
         columns = x.unbind(-1)
         still = torch.zeros_like(columns[0])
         return torch.stack([columns[self.rates[i]] if i in self.rates else still for i in range(len(columns))], -1)
+
+
+def _correction(system: System, x: Tensor, u: Tensor, push: Tensor, outputs: Sequence[int], guess: Tensor) -> Tensor:
+    """Return the part of state and input, `(*batch, n_x + n_u)`, that counteracts a push and leaves the outputs alone.
+
+    Without it, the plant without the push would move as the plant with the push does:
+    f(x - dx, u - du) = f(x, u) + push, C dx = 0. Linearised this is 0 = A dx + B du + push. It is solved by damped
+    Gauss-Newton steps from the solution of the control period before, as thrusts that go with the square of a speed
+    have no slope at rest.
+    """
+    n_x, n_u = x.shape[-1], u.shape[-1]
+    scale = torch.tensor([*system.signature.x_scale, *[1.0] * n_u], dtype=x.dtype)
+    nudges = NUDGE * torch.cat([torch.zeros(1, n_x + n_u, dtype=x.dtype), torch.eye(n_x + n_u), -torch.eye(n_x + n_u)])
+    held = torch.zeros(len(outputs), n_x + n_u, dtype=x.dtype)
+    held[range(len(outputs)), list(outputs)] = 1.0
+    held = held.expand(*x.shape[:-1], *held.shape)
+    wanted, point, shift = system(x, u) + push, torch.cat([x, u], -1), guess
+    for _ in range(STEPS):
+        around = (point - shift).unsqueeze(-2) + nudges * scale
+        rates = (system(around[..., :n_x], around[..., n_x:]) - wanted.unsqueeze(-2)) / scale[:n_x]
+        excess, forth, back = rates.split([1, n_x + n_u, n_x + n_u], -2)
+        slopes = torch.cat([(forth - back).mT / (2 * NUDGE), held], -2)
+        missing = torch.cat([excess.squeeze(-2), -(shift / scale)[..., list(outputs)]], -1).unsqueeze(-1)
+        normal = slopes.mT @ slopes + DAMPING * torch.eye(n_x + n_u, dtype=x.dtype)
+        # Far off, where a model explodes, the matrix may be singular in spite of the damping: no number is no shift.
+        step, failed = torch.linalg.solve_ex(normal, slopes.mT @ missing)
+        shift = shift + step.squeeze(-1).masked_fill(failed.bool().unsqueeze(-1), torch.nan) * scale
+    return torch.where(shift.isfinite().all(-1, keepdim=True), shift, torch.zeros_like(shift))

@@ -23,8 +23,8 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import Transform, TransformedEnv
 from torchrl.envs.utils import make_composite_from_td
 
+from dynasindy.control.controller import Policy, acting
 from dynasindy.control.observer import Belief, Observer
-from dynasindy.control.offset import Policy, acting
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.envs.sensors import Sensors

@@ -15,7 +15,7 @@ from dynasindy.envs.tracking import Tracking
 if TYPE_CHECKING:
     from dynasindy.envs.control_env import ControlEnv
     from dynasindy.envs.excitation import Aprbs, Chirp, Excitation, Multisine
-    from dynasindy.envs.foreign import Foreign, GymnasiumEnv
+    from dynasindy.envs.gym import Foreign, GymnasiumEnv
 
 __all__ = [
     "Aprbs",
@@ -48,5 +48,5 @@ def __getattr__(name: str) -> Any:
     """
     if name not in __all__:
         raise AttributeError(f"module 'dynasindy.envs' has no attribute '{name}'; it has {', '.join(__all__)}")
-    module = {"ControlEnv": "control_env", "Foreign": "foreign", "GymnasiumEnv": "foreign"}.get(name, "excitation")
+    module = {"ControlEnv": "control_env", "Foreign": "gym", "GymnasiumEnv": "gym"}.get(name, "excitation")
     return getattr(import_module(f"dynasindy.envs.{module}"), name)

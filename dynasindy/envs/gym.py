@@ -1,24 +1,31 @@
-"""The control environment as a plain Gymnasium environment, for users and libraries outside TorchRL.
+"""The control environment as a plain Gymnasium environment, and a Gymnasium environment as the plant.
 
-`import dynasindy` registers `dynasindy/TwinRotor-v0` and `dynasindy/Pendulum-v0` with `gymnasium.make`.
+`import dynasindy` registers `dynasindy/TwinRotor-v0` and `dynasindy/Pendulum-v0` with `gymnasium.make`. Where an
+environment is the plant its own simulator moves, and the task is ours: its observation is the state, under names that
+the user gives, its action is the input, scaled to [-1, 1], and what it pays goes under `own_reward`.
 """
 
+from __future__ import annotations
+
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Unbounded
 
-from dynasindy.envs import RandomStep, Tracking, TrackingReward
+from dynasindy.envs import RandomStep, Task, Tracking, TrackingReward
 from dynasindy.envs.control_env import ControlEnv
 from dynasindy.envs.drawing import Frame, draw
 from dynasindy.envs.tracking import TrackingMachine
-from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
+from dynasindy.systems import Pendulum, Signature, System, Tras, Trms33, Xi
 from dynasindy.systems.steps import steps_of
 from dynasindy.text import duration_unit
 
@@ -153,3 +160,304 @@ def pendulum(low: float = -1.0, high: float = 1.0, render_mode: str | None = Non
         reward=TrackingReward(error_weights=(4.0,)),
     )
     return _GymControl(ControlEnv(system, task), render_mode)
+
+
+STARTS = 256
+"""Resets that show where episodes begin; no step is taken."""
+
+
+class Foreign(System):
+    """What is known of a Gymnasium environment before it moves: names and ranges, no equations.
+
+    Args:
+        id: Name under which Gymnasium has the environment.
+        states: Names of the states, or name to range; names alone take their ranges from the observation space, or 1
+            where that has no ends. They are the observation's entries, in their order, unless `observed` says
+            otherwise. None names them x1, x2, ...
+        inputs: Names of the action's entries; None names them u1, u2, ...
+        units: Units of the states; None for rad of `angles`, rad/s of their `rates`, "-" of any other.
+        options: Arguments of `gymnasium.make`.
+        stops: Names of the states that the environment clips at the ends of its observation space; None for all. A
+            cosine, whose ends are reached in free motion, is none.
+        observed: Names of the observation's entries, where the state is not all of them in their order.
+        angles: States that are the angle of two entries: name to those of its sine and its cosine.
+        rates: Which state is the rate of which, as `{"theta": "omega"}`.
+
+    Raises:
+        ValueError: Gymnasium has no such environment, a space is no box of one dimension, an action has no ends, the
+            numbers of names differ from the spaces, a stop is no state, or a state is neither observed nor an angle.
+    """
+
+    known = False
+
+    def __init__(
+        self,
+        id: str,  # noqa: A002 (Gymnasium's name)
+        states: Sequence[str] | Mapping[str, float] | None = None,
+        inputs: Sequence[str] | None = None,
+        units: Sequence[str] | None = None,
+        options: Mapping[str, Any] | None = None,
+        stops: Sequence[str] | None = None,
+        observed: Sequence[str] | None = None,
+        angles: Mapping[str, Sequence[str]] | None = None,
+        rates: Mapping[str, str] | None = None,
+    ) -> None:
+        self.id, self.options = id, dict(options or {})
+        copy = self.make(1)
+        seen, acted = copy.observation_space, copy.action_space
+        for space, what in ((seen, "observation"), (acted, "action")):
+            if not isinstance(space, spaces.Box) or len(space.shape) != 1:
+                raise ValueError(f"{id} has the {what} space {space}; a plant needs a Box of one dimension")
+        assert isinstance(seen, spaces.Box) and isinstance(acted, spaces.Box)
+        if not (np.isfinite(acted.low).all() and np.isfinite(acted.high).all() and (acted.low < acted.high).all()):
+            raise ValueError(
+                f"env.id={id} has actions from {acted.low.tolist()} to {acted.high.tolist()}; give your environment's "
+                "action_space finite ends, low below high"
+            )
+        n_seen, n_u = seen.shape[0], acted.shape[0]
+        states = [f"x{i + 1}" for i in range(n_seen)] if states is None else states
+        ranges = dict(states) if isinstance(states, Mapping) else dict.fromkeys(states)
+        entries, named = (list(ranges), "states") if observed is None else (list(observed), "observed")
+        names = [f"u{i + 1}" for i in range(n_u)] if inputs is None else list(inputs)
+        if len(entries) != n_seen or len(names) != n_u:
+            raise ValueError(
+                f"{id} has {n_seen} states and {n_u} inputs, plant.{named} names {len(entries)} ({', '.join(entries)}) "
+                f"and plant.inputs {len(names)} ({', '.join(names)}); name each of them"
+            )
+        self.observed = _Observed(entries, list(ranges), angles)
+        both = self.observed.ends(torch.as_tensor(np.stack([seen.low, seen.high])).double())
+        ends = both.abs().amax(0).tolist()
+        scale = [r or (end if end < 1e6 else 1.0) for r, end in zip(ranges.values(), ends, strict=True)]
+        said = dict.fromkeys(angles or (), "rad")
+        said |= {rate: "rad/s" for angle, rate in (rates or {}).items() if angle in said}
+        units = [said.get(name, "-") for name in ranges] if units is None else units
+        super().__init__(Signature(tuple(ranges), tuple(units), tuple(names), tuple(scale)))
+        self.low, self.high = acted.low, acted.high
+        if strange := [name for name in stops or () if name not in ranges]:
+            raise ValueError(
+                f"plant.stops names {strange[0]}, {id} has the states {', '.join(ranges)}; name some of these"
+            )
+        clips = torch.tensor([stops is None or name in stops for name in ranges])
+        far = torch.tensor([[-math.inf], [math.inf]], dtype=torch.float64)
+        self.ends = torch.where(clips, both, far)
+        # How long a step is [s]: `dt`, as MuJoCo's and the pendulum have it, or `tau`, as the cart-pole.
+        steps = (getattr(copy.unwrapped, name, None) for name in ("dt", "tau"))
+        self.period = next((float(s) for s in steps if isinstance(s, int | float) and 0 < s < math.inf), None)
+        assert copy.spec is not None
+        # What it was made with says how long episodes are here, not as which they are registered.
+        self.registered_steps = gymnasium.registry[copy.spec.id].max_episode_steps
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Refuse: the equations of a Gymnasium environment are not known.
+
+        Raises:
+            TypeError: Always.
+        """
+        raise TypeError(f"the equations of {self.id} are not known; give what needs them a model of it")
+
+    def make(self, max_steps: int) -> gymnasium.Env[Any, Any]:
+        """Return a copy of the environment whose episodes end after `max_steps`.
+
+        Raises:
+            ValueError: Gymnasium has no such environment, or lacks a package for it.
+        """
+        try:
+            copy = gymnasium.make(self.id, max_episode_steps=max_steps, **self.options)
+        except (gymnasium.error.Error, ModuleNotFoundError, TypeError) as error:
+            reason = (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
+            # Gymnasium's own words install a MuJoCo that TorchRL cannot be imported with.
+            reason = reason.replace('"gymnasium[mujoco]"', "'dynasindy[mujoco]'")
+            raise ValueError(
+                f"env.id={self.id}: {reason}; give an environment that gymnasium.make can build"
+            ) from error
+        grouped = isinstance(copy.observation_space, spaces.Dict | spaces.Tuple)
+        return gymnasium.wrappers.FlattenObservation(copy) if grouped else copy
+
+
+@dataclass
+class _Copies:
+    """Copies of an environment, and whose episodes they are in."""
+
+    pool: list[gymnasium.Env[Any, Any]] = field(default_factory=list)
+    user: GymnasiumEnv | None = None
+
+
+class GymnasiumEnv(ControlEnv):
+    """A Gymnasium environment under a task of ours, batched: one copy of it per row.
+
+    A copy can be begun anew and stepped, and cannot be put into a state. So `start_from` begins where the environment
+    itself begins, and a step must go on from the step before. An environment made by `with_task`, in which policies are
+    evaluated, shares the copies, so that an episode of either ends where the other begins one. It holds a terminated
+    row where it ended instead of ending the episode: the environment itself pays nothing from there on.
+
+    Keys beside those of `ControlEnv`: `own_reward`, what the environment itself pays, and `moved`, whether the row made
+    a step of it. `at_stop` tells that a state lies at one of its ends.
+
+    Args:
+        system: The environment's names and ranges.
+        task: What is wanted; it is told where the copies begin episodes, for imagined ones to begin there.
+        id: Name of the environment, which `system` has too.
+        dt: Control period [s]; None for that of the environment.
+        substeps: 1, as a copy shows its state once per period.
+        dtype: Floating type of states.
+        seed: Seed of the resets.
+
+    Raises:
+        TypeError: The system is no Gymnasium environment.
+        ValueError: The period is not known and not given, or `substeps` is not 1.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        task: Task,
+        id: str = "",  # noqa: A002 (Gymnasium's name)
+        dt: float | None = None,
+        substeps: int = 1,
+        *,
+        dtype: torch.dtype | Literal["float32", "float64"] = torch.float64,
+        seed: int = 0,
+    ) -> None:
+        if not isinstance(system, Foreign):
+            raise TypeError(f"{type(system).__name__} is no Gymnasium environment; use dynasindy.envs.ControlEnv")
+        if substeps != 1:
+            raise ValueError(f"env.substeps={substeps}: a Gymnasium environment shows its state once a period; give 1")
+        period = system.period if dt is None else dt
+        if period is None:
+            raise ValueError(f"{system.id} does not say how long a step is; give env.dt in seconds")
+        self.ends, self.copies = True, _Copies()
+        super().__init__(system, task, period, 1, dtype=dtype, seed=seed)
+        self.foreign = system
+        if task.starts is None:
+            copy, rng = system.make(1), np.random.default_rng(seed)
+            begun = np.stack([copy.reset(seed=int(rng.integers(2**31)))[0] for _ in range(STARTS)])
+            self.task = task.with_starts(system.observed.state(torch.as_tensor(begun, dtype=torch.float64)))
+
+    def with_system(self, system: System, dtype: torch.dtype | None = None, seed: int = 0) -> ControlEnv:
+        """Return an environment around a model of this one, with the same task and period."""
+        return ControlEnv(system, self.task, self.dt, 1, dtype=dtype or self.float_type, seed=seed)
+
+    def with_task(self, task: Task, seed: int = 0) -> ControlEnv:
+        """Return this environment with another task, for evaluation: rows that end stay where they ended."""
+        other = GymnasiumEnv(self.foreign, task, dt=self.dt, dtype=self.float_type, seed=seed)
+        other.ends, other.copies = False, self.copies
+        return other
+
+    def start_from(self, states: Tensor) -> TensorDict:
+        """Begin episodes where the environment begins them, one for each of the states, which are not used."""
+        rows = states.shape[:-1].numel()
+        while len(self.copies.pool) < rows:
+            self.copies.pool.append(self.foreign.make(10**9))
+        self.copies.user = self
+        seeds = torch.randint(2**31, (rows,), generator=self.rng).tolist()
+        begun = [copy.reset(seed=seed)[0] for copy, seed in zip(self.copies.pool, seeds)]
+        seen = torch.as_tensor(np.stack(begun), dtype=self.float_type)
+        self.now = self.foreign.observed.state(seen).reshape(states.shape)
+        self.over = torch.zeros(states.shape[:-1], dtype=torch.bool)
+        out = super().start_from(self.now)
+        out.set("moved", torch.zeros(*states.shape[:-1], 1, dtype=torch.bool))
+        return out.set("own_reward", torch.zeros(*states.shape[:-1], 1))
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        x, u = tensordict["state"], tensordict["action"]
+        if self.copies.user is not self or not torch.equal(x, self.now):
+            raise RuntimeError("a Gymnasium environment goes on from its last state only; reset it first")
+        held, rows, n = self.over, x.shape[:-1], x.shape[:-1].numel()
+        paid, lost, over = torch.zeros(n), torch.zeros(n, dtype=torch.bool), held.reshape(-1).clone()
+        after, steps = self.now.reshape(n, -1).clone(), tensordict["step_count"].reshape(-1).tolist()
+        low, high = self.foreign.low, self.foreign.high
+        actions = u.detach().reshape(n, -1).double().numpy().clip(-1.0, 1.0)
+        scaled = (low + (high - low) * 0.5 * (actions + 1.0)).astype(np.float32)
+        for i in (~over).nonzero().flatten().tolist():
+            seen, paid[i], lost[i], truncated = self._next(i, scaled[i], steps[i] + 1)
+            after[i] = self.foreign.observed.state(torch.as_tensor(seen, dtype=self.float_type), after[i])
+            over[i] = lost[i] | truncated
+        self.now, self.over = after.reshape(x.shape), over.reshape(rows)
+        clipped = ((self.now <= self.foreign.ends[0]) | (self.now >= self.foreign.ends[1])).any(-1)
+        out = self._moved(tensordict, self.now.unsqueeze(-2), clipped)
+        out["own_reward"], out["moved"] = paid.reshape(*rows, 1), ~held.unsqueeze(-1)
+        cut = self.over.unsqueeze(-1) & self.ends
+        if self.task.own:
+            out["reward"], out["terminated"] = out["own_reward"].clone(), cut & lost.reshape(*rows, 1)
+        # Any other reward is a cost: an end that were worth nothing would be the best that an agent could reach, so an
+        # episode that the environment ends is cut short, not terminated.
+        out["truncated"] = out["truncated"] | cut
+        out["done"] = out["truncated"].clone()
+        return out
+
+    def _next(self, copy: int, action: Any, step: int) -> tuple[Any, float, bool, bool]:
+        """Return observation and reward of a step of one copy, and whether it ends or is cut short there."""
+        try:
+            seen, reward, terminated, truncated, _ = self.copies.pool[copy].step(action)
+        except ValueError as error:
+            if "values to unpack" not in str(error):
+                raise
+            raise ValueError(
+                f"env.id={self.foreign.id}: its step does not give five values; mend your environment, so that it "
+                "gives observation, reward, terminated, truncated and info"
+            ) from error
+        seen = np.asarray(seen)
+        if not np.isfinite(seen).all():
+            place = int(np.flatnonzero(~np.isfinite(seen))[0])
+            raise ValueError(
+                f"env.id={self.foreign.id}: in step {step} of an episode component {place} of the observation, "
+                f"'{self.foreign.observed.names[place]}', is {seen.reshape(-1)[place]}; mend your environment"
+            )
+        return seen, float(reward), bool(terminated), bool(truncated)
+
+    def _require_rates(self) -> None:
+        """Ask for none, as the equations are not known."""
+
+    def check_plant(self) -> None:
+        """Refuse bounds that exclude where episodes begin; the equations are not known."""
+        self._require_start_within()
+
+    def _make_specs(self) -> None:
+        super()._make_specs()
+        shape = (*self.batch_size, 1)
+        self.observation_spec["own_reward"] = Unbounded(shape=shape, dtype=torch.float32)
+        self.observation_spec["moved"] = Binary(n=1, shape=shape, dtype=torch.bool)
+
+
+class _Observed:
+    """The states in a Gymnasium environment's observation: some of its entries, and angles by sine and cosine.
+
+    An angle begins in (-pi, pi]; from then on it is the one nearest to that of the period before.
+    """
+
+    def __init__(
+        self, names: Sequence[str], states: Sequence[str], angles: Mapping[str, Sequence[str]] | None = None
+    ) -> None:
+        angles, told = angles or {}, f"the observation's entries are {', '.join(names)}"
+        if double := [name for k, name in enumerate(names) if name in names[:k]]:
+            raise ValueError(f"plant.observed has {double[0]} twice; give each entry of the observation its own name")
+        for angle, parts in angles.items():
+            if angle in names or angle not in states or len(parts) != 2 or not {*parts} <= {*names}:
+                raise ValueError(
+                    f"plant.angles has {angle}: [{', '.join(parts)}]; name a state that is no entry itself, with its "
+                    f"sine and its cosine: {told}"
+                )
+        if absent := [name for name in states if name not in names and name not in angles]:
+            raise ValueError(
+                f"plant.states has {absent[0]}, which is neither observed nor an angle; {told}: name it in "
+                "plant.angles, with its sine and its cosine, or mend plant.observed"
+            )
+        self.names, self.is_angle = list(names), torch.tensor([name in angles for name in states])
+        pairs = [angles.get(name, (name, name)) for name in states]
+        self.sine, self.cosine = ([names.index(pair[k]) for pair in pairs] for k in (0, 1))
+        self.plain = not angles and list(names) == list(states)
+
+    def state(self, observation: Tensor, before: Tensor | None = None) -> Tensor:
+        """Return the state, `(*batch, n_x)`, of observations `(*batch, n)`, and that `before`, unless they begin."""
+        if self.plain:
+            return observation
+        x = observation[..., self.sine]
+        angle = torch.atan2(x, observation[..., self.cosine])
+        if before is not None:
+            angle = before + torch.remainder(angle - before + math.pi, 2 * math.pi) - math.pi
+        return torch.where(self.is_angle, angle, x)
+
+    def ends(self, ends: Tensor) -> Tensor:
+        """Return the ends of the states, `(2, n_x)`, of those of the entries, `(2, n)`; an angle has none."""
+        free = torch.tensor([[-math.inf], [math.inf]], dtype=ends.dtype)
+        return torch.where(self.is_angle, free, ends[:, self.sine])

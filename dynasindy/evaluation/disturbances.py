@@ -12,7 +12,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from dynasindy.control.offset import Policy
+from dynasindy.control.controller import Policy
 from dynasindy.envs import Channel, ControlEnv, Sensors
 from dynasindy.limits import Count
 from dynasindy.systems import Altered, Signature, System

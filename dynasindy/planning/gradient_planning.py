@@ -25,8 +25,7 @@ from dynasindy.planning.imagined_replay import Planned, Planner
 from dynasindy.planning.imitation import Imitation, hold, imagined_rewards, improve
 from dynasindy.planning.margins import MarginCost
 from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choose_plan_settings, find_task_equilibria
-from dynasindy.planning.randomization import InputStrength
-from dynasindy.planning.rollout import Network, Rows, Window, backward, imagine
+from dynasindy.planning.rollout import InputStrength, Network, Rows, Window, backward, imagine
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import checked
 from dynasindy.sentences import setting
@@ -135,7 +134,7 @@ class GradientPlanning(Planner):
             task's own reward, as does a task without references.
         warm_start: Whether the policy begins as a linear-quadratic regulator of the model, where that earns more.
         gain_range: By what share inputs are weaker or stronger than in the model, at most, in imagined episodes, see
-            `dynasindy.planning.randomization`; None for 0.3. Where ways from afar are imitated, as in the model.
+            `dynasindy.planning.rollout`; None for 0.3. Where ways from afar are imitated, as in the model.
         substeps: Runge-Kutta steps per imagined control period.
         check_every: Updates between two tests on held-out imagined references; the best policy is kept.
         patience: Tests in a row without improvement after which a phase ends early; where None, the more the more

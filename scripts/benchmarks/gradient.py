@@ -19,7 +19,7 @@ import torch
 
 from benchmarks.common import add_choices, add_output, add_seeds, carry_on, cpu_seconds, detuned
 from dynasindy.agents import TD3, DynaReplay
-from dynasindy.control.integral import IntegralAction
+from dynasindy.control.controller import IntegralAction
 from dynasindy.dyna.callback import Callback, Place
 from dynasindy.dyna.experiment import Components, LoopSettings, Recipe
 from dynasindy.dyna.loop import train

@@ -106,7 +106,7 @@ def targets(canary: Path) -> dict[str, dict[str, object]]:
         "joblib.load": {"filename": str(pickled)},
         "hydra.utils.call": {"config": {"x": 1}},
         "dynasindy.safe_io.os.system": {"command": f"touch {canary}"},
-        "dynasindy.dyna.folder.torch.load": {"f": str(pickled), "weights_only": False},
+        "dynasindy.dyna.run.torch.load": {"f": str(pickled), "weights_only": False},
         "dynasindy.safe_io.write_rows": {"path": str(canary), "columns": ["a"], "rows": []},
         "dynasindy.sindy.SindyModel.load": {"path": str(pickled)},
         "dynasindy.sindy.register_function": {"name": "sin", "formula": "{0}"},

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.dyna.folder import Checkpoints
+from dynasindy.dyna.run import Checkpoints
 from dynasindy.limits import check_memory, is_memory_error, memory, memory_wanted
 
 REPOSITORY = Path(__file__).parents[2]

@@ -11,8 +11,7 @@ import torch
 
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, Observer
-from dynasindy.control.controller import ControlSetup
-from dynasindy.control.integral import IntegralAction
+from dynasindy.control.controller import ControlSetup, IntegralAction
 from dynasindy.control.sensing import Sensing
 from dynasindy.envs import ControlEnv, Sensors, Step, Tracking, TrackingReward, Wave
 from dynasindy.evaluation.scenarios import Scenario, evaluate

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.control.integral import IntegralAction
+from dynasindy.control.controller import IntegralAction
 from dynasindy.envs import ControlEnv, Step, Tracking, TrackingReward, Wave
 from dynasindy.systems.pendulum import Pendulum
 

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from dynasindy.control import Observer
-from dynasindy.control.offset import acting, correction
+from dynasindy.control.controller import acting
+from dynasindy.control.observer import _correction
 from dynasindy.control.sensing import Sensing
 from dynasindy.envs import ControlEnv, Sensors, Step, Tracking, TrackingReward
 from dynasindy.evaluation.disturbances import PerturbedPlant
@@ -31,7 +32,7 @@ def test_on_a_linear_plant_it_solves_the_steady_state_equations():
     push = torch.tensor([[0.0, 0.3, 0.0], [0.0, -1.0, 0.0]], dtype=torch.float64)
     shift = torch.zeros(2, 4, dtype=torch.float64)
     for _ in range(5):
-        shift = correction(Linear(), torch.rand(2, 3).double(), torch.rand(2, 1).double(), push, [0], shift)
+        shift = _correction(Linear(), torch.rand(2, 3).double(), torch.rand(2, 1).double(), push, [0], shift)
     held = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
     both = torch.cat([torch.cat([A, B], 1), held])
     expected = torch.linalg.solve(both, torch.cat([-push, torch.zeros(2, 1)], -1).T).T
@@ -57,7 +58,7 @@ def test_a_push_on_a_curved_plant_is_counteracted_by_newton_s_steps():
     shift, left = torch.zeros(3, dtype=torch.float64), []
     wanted = 0.2 - math.atanh(math.tanh(0.2) - 0.2)
     for _ in range(5):
-        shift = correction(Crane(), x, u, push, [0], shift)
+        shift = _correction(Crane(), x, u, push, [0], shift)
         left.append(abs(float(shift[2]) - wanted))
     assert left[1] < 1e-6 and left[-1] < 1e-8
     assert shift[:2].abs().max() < 1e-8

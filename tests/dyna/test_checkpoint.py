@@ -3,7 +3,7 @@ import os
 import pytest
 import torch
 
-from dynasindy.dyna.folder import Checkpoints
+from dynasindy.dyna.run import Checkpoints
 
 
 def test_the_newest_two_are_kept_and_the_newest_is_read(tmp_path):

@@ -5,7 +5,7 @@ import sys
 import pytest
 import torch
 
-from dynasindy.dyna.folder import result
+from dynasindy.dyna.run import result
 from dynasindy.safe_io import locked
 
 

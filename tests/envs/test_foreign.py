@@ -9,7 +9,7 @@ import torch
 from gymnasium import spaces
 
 from dynasindy.envs import Foreign, GymnasiumEnv, Step, Tracking, TrackingReward
-from dynasindy.envs.foreign import _Observed
+from dynasindy.envs.gym import _Observed
 
 PENDULUM = {"states": {"c": 1.0, "s": 1.0, "w": 8.0}, "inputs": ["torque"]}
 BY_HAND = "by_hand/Steps-v0"

@@ -5,8 +5,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.planning.randomization import InputStrength
-from dynasindy.planning.rollout import Rows, imagine
+from dynasindy.planning.rollout import InputStrength, Rows, imagine
 
 
 def params(*targets):

@@ -8,8 +8,7 @@ from torch import nn
 
 from dynasindy.agents.networks import MLP
 from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward, Wave
-from dynasindy.planning.randomization import InputStrength
-from dynasindy.planning.rollout import Rows, backward, imagine, sensitivities
+from dynasindy.planning.rollout import InputStrength, Rows, backward, imagine, sensitivities
 from dynasindy.systems import rk4
 from dynasindy.systems.compiler import compiler
 from dynasindy.systems.xi import Xi
