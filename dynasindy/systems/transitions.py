@@ -62,7 +62,7 @@ class Transitions:
             raise ValueError(f"Transitions got dt = {self.dt} s; allowed is dt > 0: give the sampling time")
 
     @classmethod
-    def from_periods(cls, rows: TensorDictBase, log_dt: float, among: Tensor | None = None) -> Transitions:
+    def from_periods(cls, rows: TensorDictBase, log_dt: float) -> Transitions:
         """Return the logged samples of real control periods as transitions, in float64.
 
         Of a plant behind sensors these are the measured samples, NaN where nothing was measured.
@@ -72,7 +72,6 @@ class Transitions:
             rows: Control periods `(T,)` in the order of time, with `state` or, behind sensors, `measurement`,
                 `action`, ("next", "samples") and ("next", "at_stop").
             log_dt: Time between samples [s].
-            among: Which of these periods to return, bool `(T,)`; all if omitted.
 
         Returns:
             Up to `T * substeps` transitions.
@@ -80,7 +79,7 @@ class Transitions:
         samples, free = rows["next", "samples"].double(), ~rows["next", "at_stop"].reshape(-1)
         start = rows["measurement"] if "measurement" in set(rows.keys()) else rows["state"]
         logged = cls.from_samples(start.double(), rows["action"].double(), samples, log_dt)
-        return logged.select((free if among is None else free & among).repeat_interleave(logged.substeps))
+        return logged.select(free.repeat_interleave(logged.substeps))
 
     @classmethod
     def from_trajectory(cls, x: Tensor, u: Tensor, dt: float) -> Transitions:

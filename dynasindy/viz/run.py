@@ -29,7 +29,6 @@ from dynasindy.viz.style import (
     panels,
     save_figures,
     styled,
-    time_axis,
 )
 
 TYPICAL = "typical ranges"
@@ -78,9 +77,6 @@ def draw_run(
             real, predicted = array(table[names]), array(table[[f"predicted_{name}" for name in names]])
             title = f"Open-loop prediction of the {when} real episode, model of {data}"
             figures[path.stem] = prediction(table["time"], real, predicted, signature, title)
-            if when == "first":
-                errors = (predicted - real) / np.array(signature.x_scale)
-                figures["model_error"] = _growing_error(array(table["time"]), np.sqrt(np.square(errors).mean(-1)))
     if (folder / "progress.csv").is_file():
         progress = read_table(folder / "progress.csv")
         if len(progress) > 1:  # the return of a single one stands in the table, and makes no curve
@@ -176,23 +172,6 @@ def gate(decisions: pd.DataFrame, title: str = "Trust in the model", unit: str =
     lower.set_ylabel(f"held-out state error\n[{TYPICAL}]")
     for axis in (upper, lower):
         legend(axis)
-    return figure
-
-
-@styled
-def _growing_error(time: Array, error: Array) -> Figure:
-    """Draw the error of a prediction that sees nothing after its start, `(n,)`, on a log axis; a zero is a mark."""
-    figure, (axis,) = panels(1, 1, (7.0, 3.2), "Open-loop error along the first episode")
-    zero, seen = error == 0, error[(error > 0) & np.isfinite(error)]
-    axis.plot(time, np.where(zero, np.nan, error), color=RED, linewidth=1.0)
-    if zero.any():
-        below = np.full(zero.sum(), 0.5 * float(seen.min()) if len(seen) else 1.0)
-        look: dict[str, Any] = {"color": RED, "marker": "v", "markersize": 4, "linestyle": "none"}
-        axis.plot(time[zero], below, label="exactly 0, below the axis", **look)
-    axis.set_yscale("log")
-    legend(axis)
-    time_axis(figure, (0.0, time.max(initial=0.0) or 1.0))
-    axis.set_ylabel(f"RMS error of the states\n[{TYPICAL}]")
     return figure
 
 

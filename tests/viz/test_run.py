@@ -46,18 +46,13 @@ def test_every_figure_whose_data_are_there_is_drawn(folder: Path) -> None:
     write(folder / "data" / "prediction_first_episode.csv", PREDICTION, "0.1", "0.2", "0.1", "0.2")
     (folder / "progress.csv").write_text(f"{PROGRESS}1,-5,0.1,\n2,-3,0.01,-2\n")
     files = draw_run(folder, Pendulum().signature, formats=("svg",))
-    assert {"prediction_first_episode.svg", "learning_curve.svg", "model_error.svg"} <= {f.name for f in files}
+    assert {"prediction_first_episode.svg", "learning_curve.svg"} <= {f.name for f in files}
     assert all(file.parent == folder / "figures" for file in files)
 
 
-def test_a_single_episode_shows_how_its_prediction_went(folder: Path, figures) -> None:
-    write(folder / "data" / "prediction_first_episode.csv", PREDICTION, "0.1", "0.2", "0.4", "0.2")
+def test_the_return_of_a_single_episode_is_no_curve(folder: Path, figures) -> None:
     (folder / "progress.csv").write_text(f"{PROGRESS}1,-5,0.1,-2\n")
-    drawn = figures()
-    assert "learning_curve" not in drawn  # one dot is no curve
-    (axis,) = drawn["model_error"].axes
-    wide = Pendulum().signature.x_scale[0]
-    np.testing.assert_allclose(axis.lines[0].get_ydata(), 0.3 / wide / np.sqrt(2))
+    assert "learning_curve" not in figures()
 
 
 def test_the_last_row_of_a_response_is_the_state_at_its_end(folder: Path, figures) -> None:
