@@ -48,7 +48,6 @@ SETTINGS = {setting: controller_name(setting) for setting in ("rollouts_0", "rol
 NONE, SOME, MANY = SETTINGS.values()
 MODEL_FREE = ("rollouts_0_tuned", "sb3_sac", "sb3_sac_5", "sb3_td3", "sb3_td3_5")
 """Other settings of the ablation that have no model, which planning is compared with too."""
-ABLATION = "python scripts/ablation.py system={} experiment={}"
 STATES, INPUTS = list(SIGNATURE.state_names), list(SIGNATURE.input_names)
 AXES = {"alpha_a": "azimuth", "alpha_p": "pitch"}
 TRACKED, REFERENCES = list(AXES), [f"reference_{name}" for name in AXES]
@@ -97,55 +96,18 @@ class _Judgement(NamedTuple):
     verdict: str
 
 
-class _Table(NamedTuple):
-    """A table of words, a row per entry of `rows`, and what its numbers come from."""
-
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    sources: Sequence[str] = ()
-
-
 class _Picture(NamedTuple):
-    """A figure, the name of its file, what it shows, and the commands and commits that it comes from."""
+    """A figure, the name of its file, and what it shows."""
 
     name: str
     figure: Figure
     caption: str
-    sources: Sequence[str]
 
 
-_Part = str | _Table | _Picture
-
-
-@dataclass(frozen=True)
-class _Section:
-    """The parts of a section, and what was judged in each case of plant and experiment."""
-
-    parts: list[_Part] = field(default_factory=list)
-    judged: list[tuple[str, _Judgement]] = field(default_factory=list)
-
-    @property
-    def judgements(self) -> tuple[list[str], list[list[str]]]:
-        """Header and rows of the table of what was judged, a column per case; no rows where nothing was."""
-        rows: dict[str, dict[str, str]] = {}
-        for case, one in self.judged:
-            rows.setdefault(one.statement, {})[case] = f"{one.verdict} ({one.ours})"
-        cases = list(dict.fromkeys(case for case, _ in self.judged))
-        return ["the paper", *cases], [[what, *(of.get(case, "") for case in cases)] for what, of in rows.items()]
-
-
-@dataclass(frozen=True)
-class _Run:
-    """A saved run: its folder and its resolved configuration."""
-
-    folder: Path
-    settings: Mapping[str, Any]
-
-    @property
-    def source(self) -> str:
-        """Folder, command and commit in words."""
-        origin = read_json(self.folder / "origin.json")
-        return f"Run `{_path(self.folder)}`, made by `{origin['command']}` at commit {origin['commit']}."
+_Part = str | _Picture | _Judgement
+"""A paragraph, a table in Markdown, a figure, or what was judged."""
+Section = list[tuple[str, _Part]]
+"""The parts of a section, each with its case of plant and experiment."""
 
 
 @dataclass(frozen=True)
@@ -160,8 +122,8 @@ class Results:
     folder: Path
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
-    def run(self, system: str, experiment: str, setting: str = "rollouts_800") -> _Run:
-        """Return the saved run of an ablation's setting; where the experiment is `gradient`, that of the main job.
+    def run(self, system: str, experiment: str, setting: str = "rollouts_800") -> Path:
+        """Return the folder of an ablation's setting; where the experiment is `gradient`, that of the main job.
 
         Raises:
             FileNotFoundError: It is not saved.
@@ -169,19 +131,16 @@ class Results:
         name = f"{system}_gradient" if experiment == "gradient" else f"{system}_{experiment}_{setting}"
         folder = self.folder / "runs" / name
         if name not in self.settings or not folder.is_dir():
-            raise FileNotFoundError(f"there is no saved run {_path(folder)}")
-        return _Run(folder, self.settings[name])
+            raise FileNotFoundError(f"there is no saved run {name}")
+        return folder
+
+    def sources(self) -> list[str]:
+        """Return of each run by which command and commit it was made."""
+        origins = {name: read_json(self.folder / "runs" / name / "origin.json") for name in sorted(self.settings)}
+        return [f"`{name}`, made by `{of['command']}` at commit {of['commit']}" for name, of in origins.items()]
 
 
-def _path(path: Path) -> str:
-    """Return a path as a reader of the repository knows it, which may itself lie below a folder `docs`."""
-    parts = path.parts
-    docs = [k for k, part in enumerate(parts) if part == "docs"]
-    return "/".join(parts[docs[-1] :] if docs else parts[-2:])
-
-
-_Made = Iterator[_Part | _Judgement]
-_Builder = Callable[..., Iterable[_Part | _Judgement]]
+_Made = Iterator[_Part]
 
 
 def build(results: Results, folder: Path) -> list[Path]:
@@ -193,57 +152,52 @@ def build(results: Results, folder: Path) -> list[Path]:
     page = folder / "report.md"
     with reading(results.folder):
         sections = {name: build_section(results, name) for name in SECTIONS}
-    write_text(page, _markdown(sections))
-    pictures = [part for section in sections.values() for part in section.parts if isinstance(part, _Picture)]
+        write_text(page, _markdown(sections, results.sources()))
+    pictures = [part for section in sections.values() for _, part in section if isinstance(part, _Picture)]
     with matplotlib.rc_context(SVG):
         return [page, *save_figures({part.name: part.figure for part in pictures}, folder / "figures", ["svg"])]
 
 
-def _markdown(sections: Mapping[str, _Section]) -> str:
-    """Return the page as Markdown, whose figures are `figures/NAME.svg`.
-
-    What figures and tables come from stands once, in a numbered list at the end of the page.
-    """
-    sources: dict[str, int] = {}
-
-    def _cite(lines: Sequence[str]) -> str:
-        numbers = [str(sources.setdefault(line, len(sources) + 1)) for line in lines]
-        return f"Source: {', '.join(numbers)}." if numbers else ""
-
+def _markdown(sections: Mapping[str, Section], sources: Sequence[str]) -> str:
+    """Return the page as Markdown, whose figures are `figures/NAME.svg`."""
     loader = jinja2.PackageLoader("dynasindy.viz", "")
     page = jinja2.Environment(loader=loader, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     fill = partial(textwrap.fill, width=WIDTH, break_long_words=False, break_on_hyphens=False)
-    page.filters |= {
-        "paragraph": lambda words: fill(escape_markdown(words.strip())),
-        "escape_markdown": escape_markdown,
-    }
+    page.filters["paragraph"] = lambda words: fill(escape_markdown(words.strip()))
+    page.filters |= {"escape_markdown": escape_markdown, "judgements": _judgements}
     text = page.get_template("report.md.jinja").render(
         {name: value for name, value in globals().items() if name.isupper()},  # what verdicts depend on
         BEYOND=BEYOND,
         sections=sections,
-        verdict=_verdict([pair for section in sections.values() for pair in section.judged]),
-        table=markdown,
-        cite=_cite,
+        verdict=_verdict([pair for section in sections.values() for pair in section]),
         sources=sources,
     )
     return re.sub(r"\n{3,}", "\n\n", text.strip()) + "\n"
 
 
-def build_section(results: Results, name: str) -> _Section:
+def _judgements(section: Section) -> str:
+    """Return the table of what was judged, a column per case; nothing where nothing was."""
+    judged = [(case, one) for case, one in section if isinstance(one, _Judgement)]
+    cases, rows = list(dict.fromkeys(case for case, _ in judged)), dict[str, dict[str, str]]()
+    for case, one in judged:
+        rows.setdefault(one.statement, {})[case] = f"{one.verdict} ({one.ours})"
+    table = [[what, *(of.get(case, "") for case in cases)] for what, of in rows.items()]
+    return markdown(["the paper", *cases], table) if table else ""
+
+
+def build_section(results: Results, name: str) -> Section:
     """Build a section from what is saved of each case; where something is missing, a line says so.
 
     Raises:
         DamagedFileError: What is saved is not what the section expects.
     """
-    section, (builder, cases) = _Section(), SECTIONS[name]
+    section, (builder, cases) = Section(), SECTIONS[name]
     for case in cases:
         with reading(f"what is saved of {' '.join(case)}"):
             try:
-                made = list(builder(results, *case))
+                section += [(_case(*case), part) for part in builder(results, *case)]
             except FileNotFoundError as missing:
-                made = [f"Not measured: {missing}."]
-        section.judged.extend((_case(*case), part) for part in made if isinstance(part, _Judgement))
-        section.parts.extend(part for part in made if not isinstance(part, _Judgement))
+                section.append((_case(*case), f"Not measured: {missing}."))
     return section
 
 
@@ -251,9 +205,9 @@ def _case(plant: str, experiment: str = "", *_: str) -> str:
     return f"{plant}, `{experiment}`"
 
 
-def _verdict(judged: Sequence[tuple[str, _Judgement]]) -> _Section:
-    """Count how many of the statements behind each claim hold."""
-    rows = []
+def _verdict(section: Section) -> list[str]:
+    """Count how many of the statements behind each claim hold: a sentence and a table."""
+    judged, rows = [(name, one) for name, one in section if isinstance(one, _Judgement)], []
     for claim in CLAIMS:
         cells = []
         for case in CASES:
@@ -265,52 +219,51 @@ def _verdict(judged: Sequence[tuple[str, _Judgement]]) -> _Section:
         rows.append([claim, *cells])
     held = [one.verdict for _, one in judged].count(HOLDS)
     words = f"How many of the statements behind each claim hold; of {len(judged)} in all {held} do."
-    header = ["what the paper claims, in our words", *(_case(*case) for case in CASES)]
-    return _Section([words, _Table(header, rows)])
+    return [words, markdown(["what the paper claims, in our words", *(_case(*case) for case in CASES)], rows)]
 
 
 def _training(results: Results, plant: str, experiment: str) -> _Made:
     run = results.run(plant, experiment)
-    table = read_table(run.folder / "data/excitation.csv")
-    substeps = int(run.settings["env"]["substeps"])
+    table = read_table(run / "data/excitation.csv")
+    substeps = int(results.settings[run.name]["env"]["substeps"])
     samples, step = len(table) * substeps, (table["time"][1] - table["time"][0]) / substeps
     figure = training_data(table["time"], table[STATES], table[INPUTS], SIGNATURE, f"Training data of {plant}")
     caption = f"What the first model of `{plant}` was fitted to: {samples} samples, {step:.3g} s apart, and the inputs."
-    yield _Picture(f"training_data_{plant}", figure, caption, [run.source])
+    yield _Picture(f"training_data_{plant}", figure, caption)
 
 
 def _model_learning(results: Results, plant: str, experiment: str) -> _Made:
     run = results.run(plant, experiment)
-    table = read_table(run.folder / "gate.csv")
+    table = read_table(run / "gate.csv")
     opened = table["episode"][table["open"] == 1]
-    below = float(run.settings["gate"]["open_below"])
+    below = float(results.settings[run.name]["gate"]["open_below"])
     yield _judge_learning(array(table["episode"]), array(table["reward_error"]), array(opened), below)
     figure = gate(table, f"SINDy model learning progress: plant {plant}, experiment {experiment}")
     caption = f"Error of the model over the episodes on `{plant}`, `{experiment}`."
-    yield _Picture(f"model_learning_{plant}_{experiment}", figure, caption, [run.source])
+    yield _Picture(f"model_learning_{plant}_{experiment}", figure, caption)
 
 
 def _states(results: Results, plant: str, experiment: str, episode: str) -> _Made:
     """Judge the open-loop prediction of the first or the last real episode, and draw it."""
     run = results.run(plant, experiment)
-    table = read_table(run.folder / f"data/prediction_{episode}_episode.csv")
+    table = read_table(run / f"data/prediction_{episode}_episode.csv")
     real, model = array(table[STATES]), array(table[[f"predicted_{name}" for name in STATES]])
     errors, when = _state_errors(real, model), "before" if episode == "first" else "after"
     title = f"Predicted and real states {when} learning: plant {plant}, experiment {experiment}"
     figure = prediction(table["time"], real, model, SIGNATURE, title)
     caption = f"Open-loop prediction of an episode on `{plant}`, `{experiment}`."
-    yield _Picture(f"states_{when}_{plant}_{experiment}", figure, caption, [run.source])
+    yield _Picture(f"states_{when}_{plant}_{experiment}", figure, caption)
     if episode == "first":
         rotors = {name: error for name, error in errors.items() if name.startswith("omega_")}
         yield _judge_model("the rotor speeds are predicted well", rotors)
         return
     yield _judge_model("all six states are predicted closely", errors)
     # The excitation applied to the final model, as the paper does.
-    table = read_table(run.folder / "data/excitation.csv")
+    table = read_table(run / "data/excitation.csv")
     x, u = (torch.tensor(array(table[names])) for names in (STATES, INPUTS))
     dt = float(table["time"][1] - table["time"][0])
     data = Transitions(x[:-1], u[:-1], x[1:], dt, torch.zeros(len(x) - 1, dtype=torch.int64))
-    predicted = open_loop(SindyModel.load(run.folder / "model.json"), data, run.settings["env"]["substeps"])
+    predicted = open_loop(SindyModel.load(run / "model.json"), data, results.settings[run.name]["env"]["substeps"])
     yield _judge_model("so they are when the chirp is applied again", _state_errors(x[1:].numpy(), predicted.numpy()))
 
 
@@ -323,7 +276,7 @@ def _state_errors(real: Array, model: Array) -> dict[str, float]:
 
 def _coefficients(results: Results, plant: str, experiment: str) -> _Made:
     run, true = results.run(plant, experiment), _published_coefficients()
-    model: Coefficients = read_json(run.folder / "model.json")["coefficients"]
+    model: Coefficients = read_json(run / "model.json")["coefficients"]
     yield _judge_coefficients(model, true)
     yield f"**Plant `{plant}`, `experiment={experiment}`**: as identified, the published coefficient in brackets."
     names = dict.fromkeys(name for row in (*true.values(), *model.values()) for name in row)
@@ -331,7 +284,7 @@ def _coefficients(results: Results, plant: str, experiment: str) -> _Made:
         [f"`{name}`", *(_cell(model.get(one, {}).get(name), true.get(one, {}).get(name)) for one in STATES)]
         for name in names
     ]
-    yield _Table(["function", *(f"d `{state}`/dt" for state in STATES)], rows, [run.source])
+    yield markdown(["function", *(f"d `{state}`/dt" for state in STATES)], rows)
 
 
 def _cell(ours: float | None, true: float | None) -> str:
@@ -347,7 +300,7 @@ def _rewards(results: Results, plant: str, experiment: str) -> _Made:
     )
     rows = rows[rows["setting"].isin([*SETTINGS])]
     if rows.empty or runs.empty:
-        raise FileNotFoundError(f"{_path(results.folder / CURVES)} has no row of {plant}, {experiment}")
+        raise FileNotFoundError(f"{CURVES} has no row of {plant}, {experiment}")
     seeds = {
         name: rows[rows["setting"] == name].pivot(index="seed", columns="episode", values="evaluated_return")
         for name in rows["setting"].unique()
@@ -362,22 +315,21 @@ def _rewards(results: Results, plant: str, experiment: str) -> _Made:
         words = SETTINGS.get(name) or f"{controller_name(name)} ({lengths} episodes)"
         to_level[words] = own["episodes_to_level"].fillna(np.inf).tolist()
     yield from _judge_rewards(curves, to_level)
-    caption = f"Returns on `{plant}`, `{experiment}`, up to {episodes[-1]:g} real episodes."
-    title = f"Dyna-style vs. direct TD3, average rewards: plant {plant}, experiment {experiment}"
-    figure = average_rewards(curves, episodes, title)
     commits = ", ".join(runs[runs["setting"].isin([*seeds])]["commit"].unique())
-    command, file = ABLATION.format(plant, experiment), _path(results.folder / CURVES)
-    source = f"Table `{file}`, made by `{command}` at commit {commits}."
-    yield _Picture(f"average_rewards_{plant}_{experiment}", figure, caption, [source])
+    command = f"python scripts/ablation.py system={plant} experiment={experiment}"
+    caption = f"Returns on `{plant}`, `{experiment}`, up to {episodes[-1]:g} real episodes: `{CURVES}`, made by "
+    caption += f"`{command}` at commit {commits}."
+    title = f"Dyna-style vs. direct TD3, average rewards: plant {plant}, experiment {experiment}"
+    yield _Picture(f"average_rewards_{plant}_{experiment}", average_rewards(curves, episodes, title), caption)
 
 
 def _steps(results: Results, plant: str, experiment: str) -> _Made:
     runs = {words: results.run(plant, experiment, name) for name, words in SETTINGS.items()}
     _, figure = _draw_tracking(runs, "step", f"Step tracking: plant {plant}, experiment {experiment}")
-    scores = {words: read_json(run.folder / "metrics.json")["evaluation"] for words, run in runs.items()}
+    scores = {words: read_json(run / "metrics.json")["evaluation"] for words, run in runs.items()}
     yield from _judge_steps(scores)
-    caption = f"A step on `{plant}`, after {runs[MANY].settings['train']['episodes']} episodes."
-    yield _Picture(f"step_{plant}_{experiment}", figure, caption, [run.source for run in runs.values()])
+    caption = f"A step on `{plant}`, after {results.settings[runs[MANY].name]['train']['episodes']} episodes."
+    yield _Picture(f"step_{plant}_{experiment}", figure, caption)
 
 
 def _wave(results: Results, plant: str, experiment: str, shape: str) -> _Made:
@@ -385,15 +337,15 @@ def _wave(results: Results, plant: str, experiment: str, shape: str) -> _Made:
     runs = {SETTINGS[name]: results.run(plant, experiment, name) for name in settings}
     tables, figure = _draw_tracking(runs, shape, f"{shape.capitalize()} wave: plant {plant}, experiment {experiment}")
     yield from _judge_wave(shape, *(array(tables[MANY][names]) for names in ("time", REFERENCES, TRACKED)))
-    caption = f"The {shape} wave on `{plant}`, after {runs[MANY].settings['train']['episodes']} episodes."
-    yield _Picture(f"{shape}_{plant}_{experiment}", figure, caption, [run.source for run in runs.values()])
+    caption = f"The {shape} wave on `{plant}`, after {results.settings[runs[MANY].name]['train']['episodes']} episodes."
+    yield _Picture(f"{shape}_{plant}_{experiment}", figure, caption)
 
 
-def _draw_tracking(runs: Mapping[str, _Run], scenario: str, title: str) -> tuple[dict[str, pd.DataFrame], Figure]:
+def _draw_tracking(runs: Mapping[str, Path], scenario: str, title: str) -> tuple[dict[str, pd.DataFrame], Figure]:
     """Return the trajectories that runs saved of a scenario, and their figure."""
     step = scenario == "step"
     file = "data/step_response.csv" if step else f"evaluation/{scenario}.csv"
-    tables = {words: read_table(run.folder / file) for words, run in runs.items()}
+    tables = {words: read_table(run / file) for words, run in runs.items()}
     held = {words: periods(table, INPUTS) if step else table for words, table in tables.items()}
     first, outputs = next(iter(tables)), {words: table[TRACKED] for words, table in tables.items()}
     inputs = {words: table[INPUTS] for words, table in held.items()} if step else None
@@ -404,9 +356,9 @@ def _gradient_run(results: Results, plant: str, scenario: str) -> _Made:
     run = results.run(plant, "gradient")
     title = f"{scenario.capitalize()}, policy of the main job: plant {plant}"
     _, figure = _draw_tracking({controller_name("gradient"): run}, scenario, title)
-    seconds = read_json(run.folder / "metrics.json")["cost"]["plant_seconds"]
+    seconds = read_json(run / "metrics.json")["cost"]["plant_seconds"]
     caption = f"The {scenario} on `{plant}` after {seconds:.0f} s of plant time."
-    yield _Picture(f"gradient_{scenario}_{plant}", figure, caption, [run.source])
+    yield _Picture(f"gradient_{scenario}_{plant}", figure, caption)
 
 
 def _judge(statement: str, claim: str, ours: str, holds: bool, same: bool = False) -> _Judgement:
@@ -526,7 +478,7 @@ def _listed(values: Mapping[str, float], infinite: str = "never") -> str:
     return ", ".join(f"{name} {infinite if np.isinf(value) else f'{value:.4g}'}" for name, value in values.items())
 
 
-SECTIONS: Mapping[str, tuple[_Builder, Sequence[tuple[str, ...]]]] = {
+SECTIONS: Mapping[str, tuple[Callable[..., Iterable[_Part]], Sequence[tuple[str, ...]]]] = {
     "training_data": (_training, OURS),
     "model_learning": (_model_learning, CASES),
     "states_before": (partial(_states, episode="first"), CASES),

@@ -34,20 +34,20 @@ def numbers(words: str) -> list[float]:
 
 
 def picture(section):
-    (found,) = [part for part in section.parts if hasattr(part, "figure")]
+    (found,) = [part for _, part in section if hasattr(part, "figure")]
     return found
 
 
-def tables(section):
-    return [part for part in section.parts if hasattr(part, "rows")]
+def texts(section):
+    return [part for _, part in section if isinstance(part, str)]
 
 
 def measured(section):
-    return [judgement for _, judgement in section.judged]
+    return [part for _, part in section if hasattr(part, "verdict")]
 
 
 def missing(section):
-    return [part for part in section.parts if isinstance(part, str) and part.startswith("Not measured")]
+    return [part for part in texts(section) if part.startswith("Not measured")]
 
 
 def test_the_committed_report_is_that_of_the_saved_results(page):
@@ -57,7 +57,7 @@ def test_the_committed_report_is_that_of_the_saved_results(page):
     assert text == (REPOSITORY / "docs/report/report.md").read_text(), "run: python scripts/report.py"
     shown = set(re.findall(r"\]\(figures/([^)]+)\)", text))
     assert shown == figures == {one.name for one in (REPOSITORY / "docs/report/figures").iterdir()} and len(shown) > 30
-    sources = text.partition("## Sources")[2].split("\n\n")[1].splitlines()
+    sources = text.partition("## Sources")[2].strip().split("\n\n")[1].splitlines()
     assert sources and all(re.search(r"made by `python scripts/[^`]+` at commit [0-9a-f]{7}", one) for one in sources)
 
 
@@ -77,7 +77,7 @@ def test_average_rewards_are_the_numbers_of_the_table(results):
     np.testing.assert_allclose(curves["no planning (3 seeds)"], [-200.0 / k + 1.0 for k in range(1, 7)])
     found = measured(section)
     assert numbers(found[1].ours) == [400, 6, 800, 4] and found[1].verdict is HOLDS
-    assert "abc1234, def5678" in picture(section).sources[0]
+    assert "abc1234, def5678" in picture(section).caption
     assert len(missing(section)) == OF_FOUR and "xi, paper" in missing(section)[0]
 
 
@@ -113,8 +113,9 @@ def test_states_and_coefficients_are_judged_by_their_numbers(results):
     assert [finding.verdict for finding in measured(after)] == [HOLDS, SHORT]
     section = build_section(results, "coefficients")
     assert [finding.verdict for finding in measured(section)] == [HOLDS]
-    (table,) = tables(section)
-    cells = {(row[0], name): cell for row in table.rows for name, cell in zip(table.header[1:], row[1:])}
+    (table,) = [text for text in texts(section) if text.startswith("| ")]
+    header, _, *rows = ([cell.strip() for cell in line.strip("| ").split(" | ")] for line in table.splitlines())
+    cells = {(row[0], name): cell for row in rows for name, cell in zip(header[1:], row[1:])}
     assert cells["`Omega_a`", "d `Omega_a`/dt"] == "-10.057 (-10.057)"
     assert cells["`u_p`", "d `omega_p`/dt"] == "6100 (6100)"
 

@@ -30,7 +30,7 @@ def judge(copied):
                 csv.writer(file, lineterminator="\n").writerows(content)
         run = {**copied.settings["xi_dyna_rollouts_800"], "gate": {"open_below": below}}
         found = build_section(Results(copied.folder, {**copied.settings, "xi_dyna_rollouts_800": run}), section)
-        return [one for case, one in found.judged if case == "xi, `dyna`"]
+        return [one for case, one in found if case == "xi, `dyna`" and hasattr(one, "verdict")]
 
     return _judge
 
