@@ -350,23 +350,11 @@ def _read_npz(path: Path) -> Raw:
 def _of_frame(frame: pd.DataFrame) -> Raw:
     if frame.index.name or not isinstance(frame.index, pd.RangeIndex):
         frame = frame.reset_index(names=frame.index.name or ("time" if frame.index.dtype.kind in "Mm" else "index"))
-    columns = [
-        pd.Series(_as_number(column.to_numpy(f"{column.dtype.kind}8[ns]"))) if column.dtype.kind in "Mm" else column
-        for _, column in frame.items()
-    ]
-    parts = (_cells_apart(str(name), column) for name, column in zip(frame, columns, strict=True))
-    whole = pd.concat([part for each in parts for part in each], axis=1)
-    return whole.set_axis(pd.RangeIndex(1, 1 + len(whole))), []
-
-
-def _cells_apart(name: str, column: pd.Series) -> Iterator[pd.Series]:
-    """Yield a column, or where its cells hold arrays or fields one for each place or field."""
-    cells = column.dropna() if column.dtype == object else column.iloc[:0]
-    if not isinstance(next(iter(cells), None), np.ndarray | list | dict):
-        yield column.rename(name)
-        return
-    for key, values in pd.DataFrame([*cells], cells.index).items():
-        yield from _cells_apart(f"{name}_{key}", values)
+    columns = {
+        str(name): _as_number(column.to_numpy(f"{column.dtype.kind}8[ns]")) if column.dtype.kind in "Mm" else column
+        for name, column in frame.items()
+    }
+    return pd.DataFrame(columns).set_axis(pd.RangeIndex(1, 1 + len(frame))), []
 
 
 def _read_excel(path: Path) -> Raw:

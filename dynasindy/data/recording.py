@@ -218,13 +218,7 @@ class LogReader:
             left_out = [each for each in findings if each.code != "log.time"]
             raise LogError("log.too_few", path=str(self), least=LEAST, left_out=left_out, **few[0])
         units = tuple(c.unit for c in states.values())
-        most = dict(zip(states, sizes.tolist(), strict=True))
-        if tiny := [name for name, size in most.items() if 0 < size < 1e-19]:
-            raise ValueError(
-                f"{self}: '{tiny[0]}' has values up to {most[tiny[0]]:.1g}, whose squares no number holds; give it a "
-                f"scale in {setting('data.states')}, or leave it out"
-            )
-        scale = tuple(size or 1.0 for size in most.values())
+        scale = tuple(size or 1.0 for size in sizes.tolist())
         reach = actuator_units(ranges, [column.unit for column in inputs.values()])
         signature = Signature(tuple(states), units, tuple(inputs), scale, **reach)
         require_consistent_rates(data, signature, self.known_rates([*states]), states, str(self))
@@ -409,7 +403,7 @@ def _unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Ar
     if not width or not (np.abs(steps) > 0.5 * width).any() or inside.mean() <= 0.05:  # two levels are no angle
         return x
     turns = {"rad": (2 * np.pi,), "deg": (360.0,), "turn": (1.0,), "-": (2 * np.pi, 360.0)}.get(unit, ())
-    for turn in (*turns, *_turns_seen(steps, np.diff(np.flatnonzero(measured)), width, unit)):
+    for turn in (*turns, *_turn_seen(steps, np.diff(np.flatnonzero(measured)), width)):
         jumps = np.abs(steps) > 0.5 * turn
         left = np.abs(steps - turn * np.round(steps / turn))
         begins = min(abs(values.min()), abs(values.min() + 0.5 * turn))  # from 0, or from minus half a turn
@@ -442,25 +436,19 @@ def _jumps(name: str, x: Array, t: Array, u: Array, usable: NDArray[np.bool_]) -
     return []
 
 
-def _turns_seen(steps: Array, rows: NDArray[np.int64], width: float, unit: str) -> tuple[float, ...]:
-    """Return the length of a turn by what jumps lack to the steps beside them: a usual one, or one that is the same."""
+def _turn_seen(steps: Array, rows: NDArray[np.int64], width: float) -> tuple[float, ...]:
+    """Return the length of a turn by what jumps lack to the steps beside them, which is about the same."""
     slopes = np.pad(steps / rows, 2, mode="edge")  # as those around a jump tell, to the fourth order
     beside = (4 * (slopes[1:-3] + slopes[3:-1]) - slopes[:-4] - slopes[4:]) * rows / 6
     far = np.abs(steps) > 0.5 * width
-    lacking, both = np.abs(beside - steps)[far], steps[far].min() < 0 < steps[far].max()
+    lacking, usual = np.abs(beside - steps)[far], float(np.median(np.abs(beside[far])))
     turn = float(np.median(lacking))
-    spread, usual = float(np.median(np.abs(lacking - turn))), float(np.median(np.abs(beside[far])))
-    whole = bool((steps == steps.round()).all())
-    sure = 0.01 if whole else 0.001  # 630 is no turn of 628.3 mm
-    if unit in ("-", "counts", "count", "ticks") and (both or whole):  # what is emptied at once jumps one way
-        known = (2.0 ** round(math.log2(turn)), float(f"{turn:.2g}"))
-        if near := [each for each in known if abs(each - turn) < sure * turn]:
-            return (near[0],)
+    spread = float(np.median(np.abs(lacking - turn)))
     # What is set to 0 at an end lacks up to a step more or less, and a quarter of one in the median.
     if len(lacking) < 3 or spread > 0.1 * usual:
         return ()
-    digits = (float(f"{turn:.{k}g}") for k in range(1, 13))
-    return (next((each for each in digits if abs(each - turn) <= max(spread, 1e-3 * usual)), turn),)
+    known = (2.0 ** round(math.log2(turn)), *(float(f"{turn:.{k}g}") for k in range(1, 13)), turn)
+    return (next(each for each in known if abs(each - turn) <= max(spread, 1e-3 * usual)),)
 
 
 def _resample(

@@ -368,12 +368,6 @@ def test_containers_tell_times_units_and_which_sheet_holds_the_log(tmp_path, nam
     require_truth(LoggedData(str(tmp_path / name)).recording(None))
 
 
-def test_arrays_and_fields_in_cells_are_columns(tmp_path):
-    nested = [{"angle": a, "rates": [b]} for a, b in zip(ANGLE, RATE, strict=True)]
-    pd.DataFrame({"time": T, "arm": nested, "u": COMMAND}).to_parquet(tmp_path / "l.parquet")
-    require_truth(LoggedData(str(tmp_path / "l.parquet")).recording(None), states=("arm_angle", "arm_rates_0"))
-
-
 @pytest.mark.parametrize("reference", [0.3 + 0 * np.arange(400.0), np.repeat([0.2, -0.4, 0.5, 0.0], 100)])
 def test_a_state_that_an_exact_feedback_was_made_of_stays_one(tmp_path, reference):
     """Of an input and a reference it is a sum of multiples, as the command is its own."""
