@@ -55,8 +55,8 @@ class MarginCost:
         self.start, self.sizes = Rows.start(equilibria.x, params, self.u.shape[-1]), MOVEMENT * task.state_ranges()
         self.followed = torch.arange(0)
 
-    def select(self, network: Network) -> None:
-        """Choose the equilibria at which a policy lacks most; none where it lacks nothing."""
+    def select(self, network: Network) -> float:
+        """Choose the equilibria at which a policy lacks most, none where it lacks nothing; return the mean lack."""
         whole, (n, n_x) = imagine(self.env, network, self.start, SETTLING), self.start.x.shape
         missed = (whole.states[-1] - self.start.x)[:, self.task.outputs].abs() / self.task.boxes()
         near = (missed <= NEAR).all(-1, keepdim=True)
@@ -71,6 +71,7 @@ class MarginCost:
         lack = self._lack(self._gain(network, every).detach()[..., self.moved].double(), every)
         worst = lack.topk(min(FOLLOWED, n)).indices
         self.followed = worst[lack[worst] > 0]
+        return float(lack.mean())
 
     def add_gradient(self, network: nn.Module) -> None:
         """Add the gradient of what a policy lacks at the equilibria that were chosen to that of its parameters."""

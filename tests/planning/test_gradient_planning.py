@@ -9,7 +9,7 @@ import torch
 from scipy.linalg import expm, solve_discrete_are
 
 from dynasindy.agents import Actor
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward
 from dynasindy.planning import GradientPlanning, Planned
 from dynasindy.planning.gradient_planning import _Episodes
 from dynasindy.planning.rollout import imagine
@@ -72,6 +72,31 @@ def test_the_actor_of_the_agent_itself_learns_and_td3_goes_on_from_it(setting, s
     learnt = torch.cat([p.reshape(-1) for p in agent.loss.actor_network_params.values(True, True)])
     assert not torch.equal(weights(agent.policy), before)
     assert sorted(learnt.tolist()) == sorted(weights(agent.policy).tolist())
+
+
+class Oven(System):
+    """x' = u - y - y^3 / 5 of the distance y = x - zero from the temperature outside."""
+
+    def __init__(self, zero):
+        super().__init__(Signature(("x",), ("K",), ("u",), (1.0,)))
+        self.zero = zero
+
+    def forward(self, x, u):
+        y = x - self.zero
+        return u - y - y**3 / 5
+
+
+def test_a_policy_learns_alike_wherever_the_zero_of_a_scale_lies():
+    acts, away = [], torch.linspace(-0.5, 0.5, 11).unsqueeze(-1)
+    for zero in (0.0, 16.0):
+        plant, ends = Oven(zero), {"low": [zero - 0.5], "high": [zero + 0.5]}
+        reward = TrackingReward([4.0], error_shape="linear")
+        task = Tracking(plant.signature, RandomStep(**ends), ["x"], [], reward, 60, start={"x": zero}, **ends)
+        actor = Actor(task.n_o, 1, hidden=(32, 32))
+        GradientPlanning(ControlEnv(plant, task), actor, updates=20, rollouts=16, window=20, check_every=10).plan()
+        with torch.no_grad():
+            acts.append(actor.policy.module(torch.cat([zero + away, -away], -1)))
+    torch.testing.assert_close(*acts, atol=0.1, rtol=0)  # rounding grows; about zero it would be 0.4
 
 
 def test_equal_seeds_plan_equally(setting, small):
