@@ -467,53 +467,47 @@ def _resample(
     if not uneven.any():
         return t, x, u, segment
     findings.append(note("log.resampled", count=int(uneven.sum()), total=len(t) - 1, dt=dt))
-    states, wide = np.stack(list(x.values()), -1), np.ptp(u, axis=0)
-    parts = []
+    parts, wide = [], np.ptp(u, axis=0)
     for label, rows in enumerate(np.split(np.arange(len(t)), np.flatnonzero(breaks) + 1)):
         if len(t[rows]) < FEWEST:
             continue
         grid = np.arange(t[rows][0], t[rows][-1] + 1e-9 * dt, dt)
         # The mean of held inputs over each even step, that of the last one up to the last sample.
         at, held = t[rows], u[rows]
-        moved = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(held[:-1] * np.diff(at)[:, None], 0)])
+        whole = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(held[:-1] * np.diff(at)[:, None], 0)])
         ends = np.minimum(np.append(grid, grid[-1] + dt), at[-1])
-        sums, widths = np.stack([np.interp(ends, at, column) for column in moved.T], -1), np.diff(ends)[:, None]
+        sums, widths = np.stack([np.interp(ends, at, column) for column in whole.T], -1), np.diff(ends)[:, None]
         held = held[np.searchsorted(at, grid + 1e-6 * dt, side="right") - 1]
         means = np.where(widths > 1e-6 * dt, np.diff(sums, axis=0) / np.maximum(widths, 1e-6 * dt), held)
         jumps = (np.abs(np.diff(u[rows], axis=0)) > JUMP * wide).any(-1)
-        parts.append((grid, _between_jumps(t[rows], states[rows], jumps, grid), means, np.full(len(grid), label)))
+        moved = np.stack([_between_jumps(at, column[rows], jumps, grid) for column in x.values()], -1)
+        parts.append((grid, moved, means, np.full(len(grid), label)))
     if not parts:
         raise LogError("log.uneven", dt=dt)
     times, found, inputs, labels = (np.concatenate(column) for column in zip(*parts, strict=True))
     return times, {name: found[:, k] for k, name in enumerate(x)}, inputs, labels
 
 
-def _between_jumps(t: Array, x: Array, jumps: NDArray[np.bool_], grid: Array) -> Array:
-    """Return states at even times, `(n, n_x)`; `jumps` says at which samples but the first an input jumps."""
+def _between_jumps(t: Array, column: Array, jumps: NDArray[np.bool_], grid: Array) -> Array:
+    """Return a state at even times, `(n,)`, NaN where it was lost and no sample is within half a step.
+
+    `jumps` says at which samples but the first an input jumps.
+    """
     from scipy.interpolate import CubicSpline  # half a second of imports that most logs do without
 
-    lost = ~np.isfinite(x)
-    if lost.any():
-        return np.stack([_measured_between(t, column, jumps, grid) for column in x.T], -1)
-    found = np.stack([np.interp(grid, t, column) for column in x.T], -1)
-    edges = [0, *(np.flatnonzero(jumps) + 1).tolist(), len(t) - 1]
-    for start, end in pairwise(edges):
-        if end - start > 1:  # of two samples alone the line is all that is known
-            here = slice(*np.searchsorted(grid, (t[start], t[end] * (1 + 1e-12))))
-            found[here] = CubicSpline(t[start : end + 1], x[start : end + 1])(grid[here])
-    return found
-
-
-def _measured_between(t: Array, column: Array, jumps: NDArray[np.bool_], grid: Array) -> Array:
-    """Return one state with lost samples at even times, `(n,)`; NaN where no sample is within half a step."""
     measured = np.isfinite(column)
     if measured.sum() < FEWEST:
         return np.full(len(grid), np.nan)
-    steps = np.concatenate([[0], np.cumsum(jumps)])  # jumps until each sample
-    t = t[measured]
-    values = _between_jumps(t, column[measured, None], np.diff(steps[measured]) > 0, grid)[:, 0]
-    off = np.abs(t[np.searchsorted(0.5 * (t[1:] + t[:-1]), grid)] - grid)
-    return np.where(off > 0.5001 * np.ptp(grid) / max(len(grid) - 1, 1), np.nan, values)
+    steps, at, x = np.append(0, np.cumsum(jumps))[measured], t[measured], column[measured]  # jumps until each sample
+    found = np.interp(grid, at, x)
+    for start, end in pairwise([0, *(np.flatnonzero(np.diff(steps)) + 1).tolist(), len(at) - 1]):
+        if end - start > 1:  # of two samples alone the line is all that is known
+            here = slice(*np.searchsorted(grid, (at[start], at[end] * (1 + 1e-12))))
+            found[here] = CubicSpline(at[start : end + 1], x[start : end + 1])(grid[here])
+    if measured.all():
+        return found
+    off = np.abs(at[np.searchsorted(0.5 * (at[1:] + at[:-1]), grid)] - grid)
+    return np.where(off > 0.5001 * np.ptp(grid) / max(len(grid) - 1, 1), np.nan, found)
 
 
 def _one_period(parts: Sequence[_Part], dt: float | None) -> float:

@@ -236,10 +236,6 @@ class Transitions:
         u, u_end = self.inputs_of(keep)
         return replace(self, x=self.x[keep], u=u, x_next=self.x_next[keep], segment=breaks.cumsum(0), u_end=u_end)
 
-    def last(self, n: int) -> Transitions:
-        """Keep the newest `n` rows."""
-        return self.select(torch.arange(len(self), device=self.x.device) >= len(self) - n)
-
     def to(self, dtype: torch.dtype) -> Transitions:
         """Cast states and inputs."""
         if self.x.dtype == self.u.dtype == self.x_next.dtype == dtype:

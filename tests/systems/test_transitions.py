@@ -48,7 +48,6 @@ def test_rows_kept_of_several_stretches_stay_apart_where_they_were_apart():
     kept = both.select(torch.tensor([True, True, True, True, False, True, True, True]))
     assert kept.segment.tolist() == [0, 0, 0, 1, 2, 3, 3]
     assert kept.x_next.squeeze(-1).tolist() == [1, 2, 3, 10, 12, 21, 22]
-    assert both.last(3).segment.tolist() == [0, 1, 1] and both.last(99).x.shape == (8, 1)
 
 
 def test_joining_keeps_rows_inputs_and_rate_and_passes_over_an_empty_recording():
