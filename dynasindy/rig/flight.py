@@ -266,7 +266,8 @@ class _FlightLoop:
         told = f"{many} in a row did not come, and guard.lost={self.guard.lost} is allowed"
         if not self.heard:  # nobody knows where a flight would begin
             told = "no sample came to begin with; see that the rig is on and sends one per period to this computer"
-        raise Fault("lost", told)
+        strange = getattr(self.rig, "strange", "")  # of a rig that tells what came in place of samples
+        raise Fault("lost", f"{told}; {strange}" if strange else told)
 
     def _apply(self, given: Any) -> Array:
         """Apply inputs to the sample that was read last, and return them, `(n_u,)`."""

@@ -34,6 +34,9 @@ MOST = 100_000
 class UdpRig:
     """A rig that streams samples over UDP and takes inputs the same way.
 
+    Attributes:
+        strange: What came since the last sample that is none, in words; empty if nothing did.
+
     Args:
         n_x: Number of states in a sample.
         n_u: Number of inputs.
@@ -51,6 +54,7 @@ class UdpRig:
         self.n_x, self.n_u, self.place = n_x, n_u, f"{host}, port {port}"
         self.last = -1
         self.first: int | None = None
+        self.strange = ""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             with self._named():
@@ -82,7 +86,7 @@ class UdpRig:
         Raises:
             OSError: The connection is broken.
         """
-        self.last, self.first = -1, None
+        self.last, self.first, self.strange = -1, None, ""
         self._socket.settimeout(0.0)
         for _ in range(MOST):
             try:
@@ -117,8 +121,13 @@ class UdpRig:
                     return newest
                 continue
             found = self.unpack(datagram, self.n_x)
-            if found is not None and found[0] > self.last:
-                self.last, newest = found
+            if found is None:
+                self.strange = (
+                    f"what came last is no sample: {len(datagram)} bytes that begin with {datagram[:4]!r}; a sample of "
+                    f"this rig is {8 + 8 * self.n_x} bytes: DYN1, its number as a uint32, and a double for each state"
+                )
+            elif found[0] > self.last:
+                self.last, newest, self.strange = *found, ""
                 self.first = self.last if self.first is None else self.first
 
     def write(self, u: Array) -> None:
