@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -32,7 +32,7 @@ from dynasindy.identification.forecast_errors import (
 )
 from dynasindy.identification.recording_diagnostics import sensor_errors
 from dynasindy.identification.source import Source, rate_name, rates_of
-from dynasindy.identification.state_space import state_space_candidates
+from dynasindy.identification.state_space import chain_candidates, state_space_candidates
 from dynasindy.identification.verdict import equation_findings, idle_states
 from dynasindy.limits import raise_if_memory
 from dynasindy.progress import Event, TimeIsUp, listening, report_progress, reporting_as
@@ -622,18 +622,32 @@ class _Search:
         return best
 
     def _with_hidden_states(self) -> None:
-        """Try linear equations with hidden states, one more each time."""
+        """Try hidden states behind each state that a simple model predicts better, then linear equations of all."""
+        of = self.best
+        ratios = torch.stack([fold.ratios(errors) for fold, errors in zip(self.folds, of.errors, strict=False)])
+        behind = dict(zip(of.source.signature.state_names, ratios.mean((0, 1)).tolist(), strict=False))
+        linear_inputs = of.source.training.u_end is not None
+        source = self.source.with_linear_inputs() if linear_inputs else self.source
+        for state in sorted(source.signature.state_names, key=lambda name: -behind[name]):
+            if behind[state] > 0:
+                parts = [of.source.training.select(fold.fit_rows()) for fold in self.folds]
+                begun = (chain_candidates(*each, state) for each in zip(of.models, parts, strict=True))
+                self._ever_more_states(f"{of.what}, {state} with", begun, source)
         for source, moving in ((self.source, ""), (self.source.with_linear_inputs(), ", inputs that move evenly")):
-            parts = [source.training.select(fold.fit_rows()) for fold in self.folds]
-            best, worse = math.inf, 0
-            for begun in zip(*(state_space_candidates(self.given, part) for part in parts), strict=True):
-                if self.expired or self._exact() or worse > WORSE:
-                    break
-                if not (models := self._best_starts(begun, source)):
-                    continue
+            if self.best.score > 0:
+                parts = [source.training.select(fold.fit_rows()) for fold in self.folds]
+                begun = (state_space_candidates(self.given, part) for part in parts)
+                self._ever_more_states(f"linear equations{moving}, with", begun, source)
+
+    def _ever_more_states(self, what: str, candidates: Iterable[Iterator[list[SindyModel]]], source: Source) -> None:
+        """Try models of ever more hidden states, for each part that is kept, until they do not get better."""
+        best, worse = math.inf, 0
+        for count, begun in enumerate(zip(*candidates, strict=True), 1):
+            if self.expired or self._exact() or worse > WORSE:
+                break
+            if models := self._best_starts(begun, source):
                 wide = source.with_unmeasured(models[0].signature)
-                what = f"linear equations with {wide.signature.n_x - source.signature.n_x} hidden states{moving}"
-                found = self._fit(what, models, wide, self._settings(select=False))
+                found = self._fit(f"{what} {count} hidden states", models, wide, self._settings(select=False))
                 worse = 0 if found is not None and found.score < best else worse + 1
                 best = min(best, found.score if found is not None else math.inf)
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count, pairwise
 
 import numpy as np
@@ -24,10 +24,12 @@ from torch import Tensor
 from dynasindy.identification.forecast_errors import ENOUGH_ROWS, ORDERS
 from dynasindy.identification.source import USUAL
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.library import Feature, Library, of, variable
+from dynasindy.sindy.library import Constraints, Feature, Library, of, variable
+from dynasindy.sindy.reconstruction import rate_states, reconstruct
 from dynasindy.sindy.refinement import TELLING
 from dynasindy.sindy.regression import least_squares
 from dynasindy.sindy.shooting import choose_stretches
+from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
 Array = NDArray[np.float64]
@@ -100,6 +102,60 @@ def state_space_candidates(model: SindyModel, data: Transitions) -> Iterator[lis
                 realisation = _realise(past, stride * data.dt, n, data.u_end is not None)
                 found += [] if realisation is None else [_model(model, realisation, data)]
         yield found
+
+
+def chain_candidates(of: SindyModel, data: Transitions, state: str) -> Iterator[list[SindyModel]]:
+    """Yield models that differ from another one in a measured state, which leads a chain of hidden states.
+
+    The chain is driven by the inputs and by the other states, whose equations stay, whatever their functions are: of a
+    ball that a late camera sees on a hoop with friction.
+
+    Args:
+        of: a fitted model.
+        data: what it was fitted to, with all of its states.
+        state: which one is to lead a chain. If the rate of it was not measured, it is no state any more.
+    """
+    signature, rates = of.signature, rate_states(of.library, of.constraints)
+    own, unmeasured = signature.state_index(state), data.x.isnan().all(0)
+    rate = next((k for k, place in rates.items() if place == own and unmeasured[k]), None)
+    full = reconstruct(data, rates)
+    others = [k for k in range(signature.n_x) if k != own and (not unmeasured[k] or k in rates) and k != rate]
+    names = (*signature.input_names, *(signature.state_names[k] for k in others))
+    alone = Signature((state,), signature.state_units[own : own + 1], names, signature.x_scale[own : own + 1])
+    drivers = torch.cat([full.u, full.x[:, others]], -1)
+    part = Transitions(full.x[:, [own]], drivers, full.x_next[:, [own]], data.dt, data.segment)
+    blank = SindyModel(alone, Library(alone, [Feature(())]), of.regression, of.refinement)
+    for found in state_space_candidates(blank, part):
+        yield [_with_chain(of, chain, rate) for chain in found]
+
+
+def _with_chain(of: SindyModel, chain: SindyModel, rate: int | None) -> SindyModel:
+    """Return a model with the equations of a chain in place of those of its first state and of the rate of that."""
+    old, new = of.signature, chain.signature
+    every = [row for s in (old, new) for row in zip(s.state_names, s.state_units, s.x_scale, strict=True)]
+    signature = replace(old, state_names=(), state_units=(), x_scale=())
+    for k, (name, unit, scale) in enumerate(every):
+        if k != rate and name not in signature.state_names:
+            signature = signature.with_state(name, unit, scale)
+    variables = {*signature.state_names, *signature.input_names}
+    features = {each.key: each for each in (*of.library.features, *chain.library.features)}
+    library = Library(signature, [each for each in features.values() if each.variables <= variables])
+    free, offset, initial = (torch.zeros(len(library), signature.n_x, dtype=torch.float64) for _ in range(3))
+    places = {each.key: k for k, each in enumerate(library.features)}
+    for model, values in ((of, of.coefficients), (chain, chain.initial)):
+        for i, name in enumerate(model.signature.state_names):
+            if name not in signature.state_names or (model is of and name in new.state_names):
+                continue
+            column = signature.state_index(name)
+            for k, feature in enumerate(model.library.features):
+                if (place := places.get(feature.key)) is not None:
+                    free[place, column] = model.constraints.free[k, i]
+                    offset[place, column] = model.constraints.offset[k, i]
+                    initial[place, column] = 0.0 if values is None else values[k, i]
+    found = SindyModel(signature, library, of.regression, of.refinement, machine_code=of.machine_code)
+    found.constraints, found.initial = Constraints(free.bool(), offset), initial
+    found.initial_delay = of.delay
+    return found
 
 
 def _thinned(data: Transitions, stride: int) -> Transitions:
