@@ -629,7 +629,7 @@ class _Search:
         linear_inputs = of.source.training.u_end is not None
         source = self.source.with_linear_inputs() if linear_inputs else self.source
         for state in sorted(source.signature.state_names, key=lambda name: -behind[name]):
-            if behind[state] > 0:
+            if behind[state] > 0 and source.signature.n_x > 1:  # of one alone it would be a linear model
                 parts = [of.source.training.select(fold.fit_rows()) for fold in self.folds]
                 begun = (chain_candidates(*each, state) for each in zip(of.models, parts, strict=True))
                 self._ever_more_states(f"{of.what}, {state} with", begun, source)

@@ -24,6 +24,7 @@ from torch import Tensor
 from dynasindy.identification.forecast_errors import ENOUGH_ROWS, ORDERS
 from dynasindy.identification.source import USUAL
 from dynasindy.sindy import SindyModel
+from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.library import Constraints, Feature, Library, of, variable
 from dynasindy.sindy.reconstruction import rate_states, reconstruct
 from dynasindy.sindy.refinement import TELLING
@@ -118,12 +119,13 @@ def chain_candidates(of: SindyModel, data: Transitions, state: str) -> Iterator[
     signature, rates = of.signature, rate_states(of.library, of.constraints)
     own, unmeasured = signature.state_index(state), data.x.isnan().all(0)
     rate = next((k for k, place in rates.items() if place == own and unmeasured[k]), None)
+    data = delay_and_trim(data, of.delay)
     full = reconstruct(data, rates)
     others = [k for k in range(signature.n_x) if k != own and (not unmeasured[k] or k in rates) and k != rate]
     names = (*signature.input_names, *(signature.state_names[k] for k in others))
     alone = Signature((state,), signature.state_units[own : own + 1], names, signature.x_scale[own : own + 1])
     drivers = torch.cat([full.u, full.x[:, others]], -1)
-    part = Transitions(full.x[:, [own]], drivers, full.x_next[:, [own]], data.dt, data.segment)
+    part = Transitions(data.x[:, [own]], drivers, data.x_next[:, [own]], data.dt, data.segment)
     blank = SindyModel(alone, Library(alone, [Feature(())]), of.regression, of.refinement)
     for found in state_space_candidates(blank, part):
         yield [_with_chain(of, chain, rate) for chain in found]

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import torch
+from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, dlsim
 
-from dynasindy.identification.state_space import state_space_candidates
+from dynasindy.identification.state_space import chain_candidates, state_space_candidates
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -62,6 +63,34 @@ def test_short_recordings_and_inputs_that_stand_still_are_no_error(count, blind)
     names = ("u", "still")[: 1 + blind]
     sizes = list(state_space_candidates(SindyModel(Signature(("y",), ("m",), names, (1.0,)), ["1", "y", "u"]), data))
     assert bool(sizes[2]) == (count == 300)
+
+
+def test_a_place_behind_a_late_sensor_gets_hidden_states_beside_a_motor_with_friction():
+    u = steps(0, 200, 10)
+    behind = np.array([[-20.0, 20.0, 0.0], [0.0, 0.0, 1.0], [0.0, -100.0, -2.0]])  # sensor, place, its speed
+
+    def moves(now, x, force):
+        return [3 * force - 2 * x[0] - np.tanh(10 * x[0]), *behind @ x[1:] + [0.0, 0.0, 50 * x[0]]]
+
+    x = [np.zeros(4)]
+    for force in u[:-1]:
+        x.append(solve_ivp(moves, (0.0, DT), x[-1], args=(force,), rtol=1e-9, atol=1e-10).y[:, -1])
+    seen = torch.from_numpy(np.array(x)[:, :2] + 1e-4 * np.random.default_rng(0).standard_normal((len(x), 2)))
+    signature = Signature(("speed", "place"), ("rad/s", "m"), ("force",), (1.0, 1.0))
+    motor = SindyModel(signature, ["speed", "force", "tanh(10 speed)", "place"])
+    motor.set_coefficients(torch.tensor([[-2.0, 0.0], [3.0, 0.0], [-1.0, 0.0], [0.0, -1.0]], dtype=torch.float64))
+    data = Transitions.from_trajectory(seen, torch.from_numpy(u[:-1, None]), DT)
+    found = list(chain_candidates(motor, data, "place"))[1]
+    for model in found:
+        assert model.signature.state_names == ("speed", "place", "hidden_1", "hidden_2")
+        model.set_coefficients(torch.where(model.constraints.free, model.initial, model.constraints.offset))
+        equation = dict(zip(model.library.names, model.coefficients[:, 0].tolist(), strict=True))
+        assert (equation["force"], equation["tanh(10 speed)"], equation["place"]) == (3.0, -1.0, 0.0)
+    chains = [
+        model.coefficients[[model.library.names.index(n) for n in model.signature.state_names[1:]], 1:]
+        for model in found
+    ]
+    assert min(distance(np.linalg.eigvals(chain.T.numpy()), np.linalg.eigvals(behind)) for chain in chains) < 0.1
 
 
 @pytest.mark.slow
