@@ -40,20 +40,11 @@ class MLP(nn.Module):
         n_out: width of the output.
         hidden: widths of the hidden layers.
         squash: end in Tanh.
-
-    Raises:
-        ValueError: a width is not positive, or there is no hidden layer.
     """
 
     def __init__(self, n_in: int, n_out: int, hidden: Sequence[int], *, squash: bool = False) -> None:
-        widths = [n_in, *hidden, n_out]
-        if len(widths) < 3 or min(widths) < 1:
-            raise ValueError(
-                f"MLP widths are {widths} (inputs, hidden, outputs); give at least one hidden layer and "
-                "positive widths, such as agent.hidden=[400, 300]."
-            )
         super().__init__()
-        self.linears = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
+        self.linears = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise([n_in, *hidden, n_out]))
         self.squash = squash
 
     def forward(self, *inputs: Tensor) -> Tensor:

@@ -189,13 +189,7 @@ class DynaReplay:
         return k, self.batch_size - k
 
     def sample(self) -> TensorDict:
-        """Draw a batch `(batch_size,)` with `LEARN_KEYS`, its first rows real, uniformly with replacement.
-
-        Raises:
-            RuntimeError: both storages are empty.
-        """
-        if not len(self.real) and not len(self.model):
-            raise RuntimeError("Replay is empty; collect real transitions before sampling.")
+        """Draw a batch `(batch_size,)` with `LEARN_KEYS`, its first rows real, uniformly with replacement."""
         drawn = []
         for buffer, k in zip((self.real, self.model), self.counts(), strict=True):
             if k:

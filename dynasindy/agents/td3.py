@@ -68,7 +68,7 @@ class Hyperparameters:
         ValueError: a value lies outside its range.
     """
 
-    hidden: Sequence[int] = (400, 300)
+    hidden: Annotated[Sequence[Positive], Field(min_length=1)] = (400, 300)
     actor_lr: Annotated[float, Field(gt=0)] = 1e-4
     critic_lr: Annotated[float, Field(gt=0)] = 1e-4
     gamma: Annotated[float, Field(gt=0, le=1)] = 0.995

@@ -136,14 +136,9 @@ class DelayedActuator:
         policy: The policy.
         env: Environment it runs in, which has the control period.
         periods: Delay [control periods].
-
-    Raises:
-        ValueError: `periods` is negative.
     """
 
     def __init__(self, policy: Policy, env: ControlEnv, periods: Count) -> None:
-        if periods < 0:
-            raise ValueError(f"periods of a delayed actuator must be >= 0, got {periods}; 2 are 0.1 s at 0.05 s")
         self.policy, self.periods, self.dt = policy, periods, env.dt
         self.waiting: deque[Tensor] = deque()
 
