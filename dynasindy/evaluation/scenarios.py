@@ -25,7 +25,7 @@ from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, Summary, steady_seconds, tracking_metrics
 from dynasindy.findings import Finding, note, weak
-from dynasindy.limits import Count, check_memory, raise_if_memory
+from dynasindy.limits import Count, check_memory
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import file_name, write_csv, write_json
 from dynasindy.systems import Signature, System
@@ -381,7 +381,6 @@ def evaluate(
 
     Raises:
         TypeError: The scenario has a reference and the task tracks none.
-        ValueError: The policy gives no action, or one of the wrong shape.
         Diverged: The policy gives an action that is not finite, the plant moves to no number, or the task gives a
             reward that is not finite. A plant that runs away is left at the end of `FARTHEST` ranges.
     """
@@ -405,17 +404,6 @@ def evaluate(
         start = sensing.begin(start)
         noise = sensing.sensors.variance(env.system.signature).sqrt()
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng():
-        wanted = f"an action of shape {(*start.batch_size, env.system.signature.n_u)}"
-        try:
-            given = f"an action of shape {tuple(policy(start.clone())['action'].shape)}"
-        except (KeyError, RuntimeError) as error:
-            raise_if_memory(error)
-            n_o, first = start["observation"].shape[-1], str(error).splitlines()[0]
-            given = f"no action for an observation of {n_o} numbers ({first})"
-        if given != wanted:
-            raise ValueError(
-                f"the policy gave {given} in scenario '{scenario.name}', the plant takes {wanted}; load its own policy"
-            )
         trajectory = _run(calm, wrapped, scenario, start, sensing, phase or f"policy in scenario '{scenario.name}'")
     words = tuple(each.summary() for each in disturbing if hasattr(each, "summary"))
     # Root entries: state and reference at the moment an action is chosen, so that a step begins at time zero.
