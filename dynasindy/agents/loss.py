@@ -21,7 +21,6 @@ from torchrl.objectives import TD3Loss as TorchRLTD3Loss
 from torchrl.objectives import ValueEstimators
 
 from dynasindy.agents.networks import Layer
-from dynasindy.systems.compiler import c_text, find_library
 
 
 class TD3Loss(TorchRLTD3Loss):
@@ -179,24 +178,7 @@ def line_of(room: Tensor) -> ctypes.c_void_p:
     return ctypes.c_void_p(-(-room.data_ptr() // LINE) * LINE)
 
 
-def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, machine_code: bool = True) -> GradientSteps:
-    """Return machine code for these networks where there can be, and otherwise automatic differentiation.
-
-    Args:
-        loss: the loss module.
-        critics: the optimiser of the critics.
-        actor: the optimiser of the actor.
-        machine_code: whether machine code is wanted.
-    """
-    tensors = [tensor for layer in (*loss.actor_layers, *loss.critic_layers) for tensor in layer]
-    if machine_code and all(tensor.is_cpu and tensor.dtype == torch.float32 for tensor in tensors):
-        code = find_library(c_text("agents", "perceptron.c", "td3.c"), "TD3 learns", fast=True)
-        if code is not None:
-            return _MachineSteps(code, loss, critics, actor)
-    return GradientSteps(loss, critics, actor)
-
-
-class _MachineSteps(GradientSteps):
+class MachineSteps(GradientSteps):
     """Steps of Adam down the two losses of TD3, as machine code; tensors are read where they lay when it was made."""
 
     def __init__(self, code: ctypes.CDLL, loss: TD3Loss, critics: Adam, actor: Adam) -> None:

@@ -31,11 +31,12 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import ValueOperator
 from torchrl.objectives import SoftUpdate
 
-from dynasindy.agents.loss import GradientSteps, TD3Loss, best_steps
+from dynasindy.agents.loss import GradientSteps, MachineSteps, TD3Loss
 from dynasindy.agents.networks import MLP, actor
 from dynasindy.limits import Positive, check_memory
 from dynasindy.safe_io import checked_class
 from dynasindy.systems import Diverged
+from dynasindy.systems.compiler import c_text, find_library
 
 CHECK_EVERY = 100
 """Updates between two looks at the losses on a device that works apart from the CPU, which each look would halt."""
@@ -280,7 +281,11 @@ class TD3:
         # Where tensors have been replaced, other lists and dictionaries hold them.
         now = [self.loss.actor_layers, self.loss.critic_layers, *(each.state for each in optimizers)]
         if self._made is None or any(one is not other for one, other in zip(now, self._read, strict=True)):
-            self._made, self._read = best_steps(self.loss, *optimizers, self.settings.machine_code), now
+            code, weight = None, self.loss.actor_layers[0].weight
+            if self.settings.machine_code and weight.is_cpu and weight.dtype == torch.float32:
+                code = find_library(c_text("agents", "perceptron.c", "td3.c"), "TD3 learns", fast=True)
+            parts, self._read = (self.loss, *optimizers), now
+            self._made = GradientSteps(*parts) if code is None else MachineSteps(code, *parts)
         return self._made
 
     def _require_finite(self, loss: Tensor, what: str) -> None:

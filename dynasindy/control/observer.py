@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -27,9 +27,13 @@ from torch import Tensor
 from dynasindy.envs.sensors import LONGEST, Sensors
 from dynasindy.findings import FindingError
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Altered, Diverged, Signature, Stops, System, integrate
+from dynasindy.systems import Altered, Diverged, Signature, System, integrate
 from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import Steps, split_delay, steps_of
+
+if TYPE_CHECKING:
+    from dynasindy.control.controller import ControlSetup
+    from dynasindy.envs import ControlEnv
 
 DRIFTING = 0.01
 """Process noise of a push [its ranges, in the time in which its state may cross its own: a second for a rate]."""
@@ -50,14 +54,6 @@ LEAST = 0.003
 is kicked, or a sensor that begins anew, stays within two, however small the noise; of normal innovations the largest of
 a thousand millions is six standard deviations. What is believed costs more than what is lost: one sample, as the state
 is doubted then, and the next one is believed up to a hundred ranges."""
-
-
-class _Timing(Protocol):
-    """What an observer has to know of time and travel; a `ControlEnv` is one, and so is a controller out of a file."""
-
-    dt: float  # control period [s]
-    substeps: int  # Runge-Kutta steps in it
-    stops: Stops | None
 
 
 @dataclass(frozen=True)
@@ -86,7 +82,7 @@ class Observer:
         env: Control period, sub-steps and stops.
     """
 
-    def __init__(self, model: System, sensors: Sensors, env: _Timing) -> None:
+    def __init__(self, model: System, sensors: Sensors, env: ControlEnv | ControlSetup) -> None:
         self.model, self.sensors = model, sensors
         self.dt, self.substeps, self.stops = env.dt, env.substeps, env.stops
         self.n_x = model.signature.n_x

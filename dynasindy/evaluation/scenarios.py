@@ -11,7 +11,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated
 
+import pydantic
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -25,9 +27,9 @@ from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, Summary, steady_seconds, tracking_metrics
 from dynasindy.findings import Finding, note, weak
-from dynasindy.limits import Count, check_memory
+from dynasindy.limits import Positive, check_memory
 from dynasindy.progress import report_progress
-from dynasindy.safe_io import file_name, write_csv, write_json
+from dynasindy.safe_io import checked_class, file_name, write_csv, write_json
 from dynasindy.systems import Signature, System
 from dynasindy.systems.base import turn_of
 from dynasindy.text import format_duration
@@ -45,7 +47,8 @@ SINGLE = 1e-6
 """The same as a share of the ends themselves, where the range is none or small."""
 
 
-@dataclass(frozen=True)
+@checked_class
+@pydantic.dataclasses.dataclass(frozen=True, config={"arbitrary_types_allowed": True})
 class Scenario:
     """One fixed situation.
 
@@ -68,18 +71,16 @@ class Scenario:
 
     name: str
     reference: Reference | None = None
-    episodes: int = 1
-    seconds: float | None = 20.0
+    episodes: Positive = 1
+    seconds: Annotated[float, pydantic.Field(gt=0)] | None = 20.0
     plant: Callable[[System], System] | None = None
     windows: Sequence[Window] | None = None
     wrappers: Sequence[PolicyWrapper] = ()
     seed: int = 0
-    lengths: float = 1.0
+    lengths: Annotated[float, pydantic.Field(gt=0)] = 1.0
 
     def __post_init__(self) -> None:
         file_name(self.name, "scenario")
-        if self.episodes < 1 or (self.seconds is not None and not self.seconds > 0) or not self.lengths > 0:
-            raise ValueError(f"episodes, seconds and lengths of scenario '{self.name}' must be positive")
         end = math.inf if self.seconds is None else self.seconds
         edges = [0.0, *(edge for window in self.windows or () for edge in window), end]
         if any(start > end for start, end in pairwise(edges)):
@@ -330,7 +331,7 @@ class Evaluation:
         return [figures, table]
 
 
-def step_references(low: Sequence[float], high: Sequence[float], number: Count = 64, seed: int = 0) -> Step:
+def step_references(low: Sequence[float], high: Sequence[float], number: Positive = 64, seed: int = 0) -> Step:
     """Return `number` fixed step references that fill a target range evenly (scrambled Sobol points).
 
     The first, which figures show, is the one nearest to three quarters of the upper ends.
@@ -342,10 +343,8 @@ def step_references(low: Sequence[float], high: Sequence[float], number: Count =
         seed: Of the scrambling; the same seed gives the same references.
 
     Raises:
-        ValueError: `low` and `high` differ in length, or there is no reference to draw.
+        ValueError: `low` and `high` differ in length.
     """
-    if number < 1:
-        raise ValueError(f"scenario.reference.number is {number}; give 1 or more")
     if len(low) != len(high):
         raise ValueError(f"plant.low={list(low)} and plant.high={list(high)} differ in length; give one end per output")
     points = torch.quasirandom.SobolEngine(len(low), scramble=True, seed=seed).draw(number)

@@ -7,7 +7,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.agents.loss import _MachineSteps
+from dynasindy.agents.loss import MachineSteps
 from dynasindy.agents.td3 import TD3
 from dynasindy.systems import Diverged
 from dynasindy.systems.compiler import compiler
@@ -48,7 +48,7 @@ def test_losses_gradients_and_steps_are_those_of_automatic_differentiation(rows,
         found, wanted = ours.update(batch), torchs.update(batch)
         for name, value in wanted.items():
             assert found[name].item() == pytest.approx(value.item(), rel=2e-5, abs=1e-6)
-    assert isinstance(ours._steps, _MachineSteps) and not isinstance(torchs._steps, _MachineSteps)
+    assert isinstance(ours._steps, MachineSteps) and not isinstance(torchs._steps, MachineSteps)
     for kind in ("critic_optimizer", "actor_optimizer"):
         states = (getattr(agent, kind).state_dict()["state"] for agent in (ours, torchs))
         for found, wanted in zip(*(state.values() for state in states), strict=True):
