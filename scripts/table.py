@@ -17,7 +17,7 @@ def main() -> None:
         with one_line():
             if len(sys.argv) != 2:
                 raise ValueError(f"give one folder, that of a sweep: {program('table')} runs/SWEEP")
-            from dynasindy.evaluation.statistics import sweep_table
+            from dynasindy.evaluation.ablation import sweep_table
             from dynasindy.progress import say
 
             say(sweep_table(Path(sys.argv[1])))

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 from dynasindy.envs.references import RandomStep, Reference, Step, Wave, target, wave
 from dynasindy.envs.reward import TrackingReward
 from dynasindy.envs.sensors import Channel, Sensors
-from dynasindy.envs.task import Sampled, Task
-from dynasindy.envs.tracking import Tracking
+from dynasindy.envs.task import Sampled, Task, Tracking
 
 if TYPE_CHECKING:
     from dynasindy.envs.control_env import ControlEnv

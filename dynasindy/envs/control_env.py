@@ -16,7 +16,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import _make_compatible_policy
 
 from dynasindy.envs import Task, Tracking
-from dynasindy.envs.tracking import TrackingMachine
+from dynasindy.envs.task import TrackingMachine
 from dynasindy.limits import Positive, check_memory
 from dynasindy.safe_io import checked
 from dynasindy.systems import System, integrate

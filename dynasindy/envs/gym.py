@@ -24,7 +24,7 @@ from torchrl.data import Binary, Unbounded
 from dynasindy.envs import RandomStep, Task, Tracking, TrackingReward
 from dynasindy.envs.control_env import ControlEnv
 from dynasindy.envs.drawing import Frame, draw
-from dynasindy.envs.tracking import TrackingMachine
+from dynasindy.envs.task import TrackingMachine
 from dynasindy.systems import Pendulum, Signature, System, Tras, Trms33, Xi
 from dynasindy.systems.steps import steps_of
 from dynasindy.text import duration_unit

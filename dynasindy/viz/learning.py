@@ -15,8 +15,16 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from dynasindy.evaluation.ablation import CURVES, SHARE, Level, read_ablation, worst_errors
-from dynasindy.evaluation.statistics import FEWEST, bootstrap_interval, interquartile_mean
+from dynasindy.evaluation.ablation import (
+    CURVES,
+    FEWEST,
+    SHARE,
+    Level,
+    bootstrap_interval,
+    interquartile_mean,
+    read_ablation,
+    worst_errors,
+)
 from dynasindy.safe_io import file_name
 from dynasindy.viz.controllers import controller_name, line_styles
 from dynasindy.viz.style import BLACK, GREY, Array, array, legend, panels, save_figures, styled

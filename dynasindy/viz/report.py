@@ -22,8 +22,7 @@ import pandas as pd
 import torch
 from matplotlib.figure import Figure
 
-from dynasindy.evaluation.ablation import CURVES, TABLE, Level, read_ablation
-from dynasindy.evaluation.statistics import interquartile_mean, markdown
+from dynasindy.evaluation.ablation import CURVES, TABLE, Level, interquartile_mean, markdown, read_ablation
 from dynasindy.safe_io import escape_markdown, read_json, reading, write_text
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.world_model import open_loop

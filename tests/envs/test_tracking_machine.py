@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from dynasindy.envs import RandomStep, Tracking, TrackingReward, Wave
-from dynasindy.envs.tracking import TrackingMachine
+from dynasindy.envs.task import TrackingMachine
 from dynasindy.systems import Signature
 from dynasindy.systems.compiler import compiler
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy import stats
 
-from dynasindy.evaluation.statistics import (
+from dynasindy.evaluation.ablation import (
     bootstrap_interval,
     interquartile_mean,
     sweep_table,

@@ -1,4 +1,4 @@
-/* What control periods of the task of tasks/tracking.py show and earn, row by row, operation by operation as its torch
+/* What control periods of the task of envs/task.py show and earn, row by row, operation by operation as its torch
    code has them. */
 #include <math.h>
 
