@@ -15,7 +15,7 @@ import json
 import os
 import re
 import secrets
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from inspect import signature
@@ -272,45 +272,17 @@ def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[float |
     write_text(path, text.getvalue())
 
 
-def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write a table whole, with a row of cells by heading; a column that a row lacks is empty.
-
-    Raises:
-        ValueError: A row has another column.
-    """
-    text = StringIO(newline="")
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text(path, text.getvalue())
-
-
-def append_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Append rows to a table, or begin it: all of them, or none where the disk is full.
-
-    Where others append to it as well, each waits for the one before.
-
-    Raises:
-        LinkError: A link stands there.
-        DamagedFileError: What is there is no table.
-        ValueError: A row has another column.
-    """
-    with locked(path.parent):
-        write_rows(path, columns, [*read_rows(path), *rows])
-
-
 @contextmanager
-def locked(folder: Path, wait: bool = True) -> Iterator[None]:
+def locked(folder: Path) -> Iterator[None]:
     """Keep a folder from all others that lock it; the lock ends with the process, however that ends.
 
     Without POSIX locks two processes in one folder are the user's affair.
 
     Args:
         folder: The folder; made if missing.
-        wait: Whether to wait for another process that has it.
 
     Raises:
-        ValueError: Another process has it, and is not waited for.
+        ValueError: Another process has it.
     """
     folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -321,7 +293,7 @@ def locked(folder: Path, wait: bool = True) -> Iterator[None]:
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ValueError(f"another process works in {folder}; wait for its end, or give another folder") from None
         yield

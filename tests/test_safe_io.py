@@ -2,8 +2,6 @@
 
 import os
 import re
-import subprocess
-import sys
 
 import pytest
 
@@ -11,7 +9,6 @@ from dynasindy.envs import Aprbs, Channel
 from dynasindy.planning import GradientPlanning
 from dynasindy.safe_io import (
     DamagedFileError,
-    append_rows,
     escape_markdown,
     file_name,
     output_folder,
@@ -120,29 +117,6 @@ def test_a_command_writes_where_it_is_told_or_beside_what_it_read(tmp_path):
     (given / "out.c").symlink_to(file)
     with pytest.raises(ValueError, match="is a link"):
         output_folder(file, "check", str(given))
-
-
-COLUMNS = ("name", "value")
-
-
-def test_headings_stand_once_above_what_is_appended(tmp_path):
-    path = tmp_path / "made" / "table.csv"
-    append_rows(path, COLUMNS, [{"name": "a, b", "value": 0.1}])
-    append_rows(path, COLUMNS, [{"name": "c", "value": ""}])
-    assert path.read_bytes() == b'name,value\n"a, b",0.1\nc,\n'
-    assert read_rows(path) == [{"name": "a, b", "value": "0.1"}, {"name": "c", "value": ""}]
-
-
-def test_nothing_is_lost_where_two_processes_append_to_a_table(tmp_path):
-    path = tmp_path / "table.csv"
-    code = (
-        "import sys; from pathlib import Path; from dynasindy.safe_io import append_rows\n"
-        "for k in range(50): append_rows(Path(sys.argv[1]), ('name', 'value'), [{'name': sys.argv[2], 'value': k}])"
-    )
-    both = [subprocess.Popen([sys.executable, "-c", code, str(path), name]) for name in "ab"]
-    assert [each.wait() for each in both] == [0, 0]
-    found = [(row["name"], int(row["value"])) for row in read_rows(path)]
-    assert sorted(found) == [(name, k) for name in "ab" for k in range(50)]
 
 
 def test_files_have_the_rights_that_the_user_gives_new_ones(tmp_path):

@@ -74,7 +74,7 @@ def run(
             checkpoints.save(place.number, {name: part.state_dict() for name, part in kept.items()})
 
     recorder.place, recorder.save = place, _save
-    with locked(folder, wait=False):
+    with locked(folder):
         refuse_links(folder)
         _check_settings(folder, config)
         if (metrics := result(folder, recipe.train.episodes)) is not None:

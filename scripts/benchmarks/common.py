@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import csv
 import math
 import os
 import random
@@ -19,7 +20,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dynasindy.safe_io import Row, append_rows, read_rows
+from dynasindy.safe_io import Row, read_rows
 from dynasindy.systems import Signature, System
 from dynasindy.systems.tras import TrasConstants
 
@@ -72,7 +73,10 @@ def add_output(parser: argparse.ArgumentParser, name: str) -> None:
 def append(path: Path, columns: Sequence[str], rows: Iterable[Row]) -> None:
     """Append rows to a CSV file, with the commit that measured them, and print them."""
     stamped = [{**row, "commit": commit()} for row in rows]
-    append_rows(path, columns, stamped)
+    new = not path.exists()
+    with path.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writerows([dict(zip(columns, columns, strict=True)), *stamped] if new else stamped)
     for row in stamped:
         print(", ".join(f"{key} {value}" for key, value in row.items()), flush=True)
 

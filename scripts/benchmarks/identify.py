@@ -6,6 +6,7 @@ Plants move by Runge-Kutta steps of 1 ms between the samples. Times are CPU time
 from __future__ import annotations
 
 import argparse
+import csv
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -22,7 +23,7 @@ from benchmarks.common import RESULTS, EquationSystem, commit
 from benchmarks.pysindy_regression import Score, best_threshold, score, smoothed_rows, stlsq, weak_rows
 from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import Aprbs, Chirp, Excitation
-from dynasindy.safe_io import Row, read_rows, write_rows
+from dynasindy.safe_io import Row, read_rows
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.named_libraries import paper_table, polynomial
@@ -62,7 +63,10 @@ def main(arguments: argparse.Namespace) -> None:
     if out is not None:
         kept = [found for found in read_rows(out) if found["case"] not in names]
         order = {name: k for k, name in enumerate(CASES)}
-        write_rows(out, COLUMNS, sorted([*kept, *rows], key=lambda one: order.get(one["case"], len(order))))
+        with out.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(sorted([*kept, *rows], key=lambda one: order.get(one["case"], len(order))))
 
 
 def row(method: str, measure: str, value: str, target: str = "") -> Row:

@@ -1,11 +1,9 @@
 """Files are written whole or not at all, and never through a link, whatever a folder of others holds."""
 
-import csv
 import json
 import multiprocessing
 import os
 import re
-import sys
 import time
 from pathlib import Path
 
@@ -17,7 +15,6 @@ from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import ControlSetup
 from dynasindy.envs import Step, Tracking, TrackingReward
-from dynasindy.safe_io import append_rows
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
 
@@ -104,14 +101,6 @@ def test_no_command_writes_through_a_link(run, tmp_path, place, words):
     assert not list((tmp_path / place).parent.glob("log*.csv"))  # a rig did not move
 
 
-def test_a_log_of_rows_is_not_appended_to_through_a_link(tmp_path):
-    (tmp_path / "diary").write_text(DIARY)
-    (tmp_path / "rows.csv").symlink_to(tmp_path / "diary")
-    with pytest.raises(ValueError, match=r"rows\.csv"):
-        append_rows(tmp_path / "rows.csv", ("a",), [{"a": 1}])
-    assert (tmp_path / "diary").read_text() == DIARY
-
-
 def test_a_device_keeps_its_place(tmp_path):
     os.mkfifo(tmp_path / "model.json")
     with pytest.raises(ValueError, match=r"model\.json"):
@@ -168,23 +157,6 @@ def test_a_full_disk_leaves_a_model_and_a_controller_as_they_were(run, full_disk
         save(controller(hidden=5), run / "controller.json")
     assert contents(run) == before
     assert load(run).policy is not None
-
-
-def test_rows_are_appended_whole_or_not_at_all(tmp_path):
-    """The disk of a process of its own is full after 100 bytes."""
-    path = tmp_path / "rows.csv"
-    append_rows(path, ("name", "value"), [{"name": "a", "value": 1}])
-    code = (
-        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))\n"
-        "from pathlib import Path; from dynasindy.safe_io import append_rows\n"
-        f"path = Path({str(path)!r})\n"
-        "try: append_rows(path, ('name', 'value'), [{'name': 'b' * 30, 'value': k} for k in range(9)])\n"
-        "except OSError as error: print(error.filename)"
-    )
-    done = forked.run([sys.executable, "-c", code], cwd=tmp_path)
-    assert done.stdout.strip() == str(path), done.stderr
-    with path.open(newline="") as file:
-        assert list(csv.reader(file)) == [["name", "value"], ["a", "1"]]
 
 
 WATCHED = """

@@ -36,16 +36,16 @@ def test_a_cut_file_is_no_result(tmp_path, name, size):
 
 HOLD = (
     "import sys; from pathlib import Path; from dynasindy.safe_io import locked\n"
-    "with locked(Path(sys.argv[1]), wait=False): print('held', flush=True); sys.stdin.read()"
+    "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
 )
 
 
 def test_two_processes_cannot_work_in_one_folder(tmp_path):
     other = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert other.stdout.readline() == b"held\n"
-    with pytest.raises(ValueError, match="works"), locked(tmp_path, wait=False):
+    with pytest.raises(ValueError, match="works"), locked(tmp_path):
         pass
     other.kill()  # a claim does not outlive its process, however that ends
     other.wait()
-    with locked(tmp_path, wait=False):
+    with locked(tmp_path):
         pass
