@@ -13,25 +13,28 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dynasindy.control import Controller, load
-    from dynasindy.identification.identify import identify, read
-    from dynasindy.progress import Progress
-    from dynasindy.simulation import excite, simulate
-    from dynasindy.workbench import forecast, plan
+    from dynasindy.control import Controller as Controller
+    from dynasindy.control import load as load
+    from dynasindy.identification.identify import identify as identify
+    from dynasindy.identification.identify import read as read
+    from dynasindy.progress import Progress as Progress
+    from dynasindy.simulation import excite as excite
+    from dynasindy.simulation import simulate as simulate
+    from dynasindy.workbench import forecast as forecast
+    from dynasindy.workbench import plan as plan
 
-__all__ = [
-    "Controller",
-    "Progress",
-    "__version__",
-    "excite",
-    "forecast",
-    "identify",
-    "load",
-    "plan",
-    "read",
-    "simulate",
-]
-
+_PLACES = {
+    "Controller": "dynasindy.control",
+    "load": "dynasindy.control",
+    "Progress": "dynasindy.progress",
+    "excite": "dynasindy.simulation",
+    "forecast": "dynasindy.workbench",
+    "identify": "dynasindy.identification.identify",
+    "plan": "dynasindy.workbench",
+    "read": "dynasindy.identification.identify",
+    "simulate": "dynasindy.simulation",
+}
+__all__ = ["__version__", *_PLACES]
 __version__ = "0.1.0"
 
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # torchrl reads it when it is imported, and chats at INFO
@@ -76,18 +79,6 @@ if "gymnasium" in sys.modules:
     _register()
 else:
     sys.meta_path.insert(0, _Gymnasium)
-
-_PLACES = {
-    "Controller": "dynasindy.control",
-    "load": "dynasindy.control",
-    "Progress": "dynasindy.progress",
-    "excite": "dynasindy.simulation",
-    "forecast": "dynasindy.workbench",
-    "identify": "dynasindy.identification.identify",
-    "plan": "dynasindy.workbench",
-    "read": "dynasindy.identification.identify",
-    "simulate": "dynasindy.simulation",
-}
 
 
 def __dir__() -> list[str]:

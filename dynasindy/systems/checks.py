@@ -120,9 +120,8 @@ def _places(system: System, begin: Tensor, bounds: Tensor | None) -> tuple[Tenso
     if bounds is not None:
         low, high = (torch.where(g.isfinite(), g.to(begin), e) for g, e in zip(bounds, (low, high), strict=True))
     middle, half = 0.5 * (low + high), 0.5 * INNER * (high - low)
-    along = begin.repeat(n_x, ALONG, 1)
-    for i in range(n_x):
-        along[i, :, i] = middle[i] + half[i] * torch.linspace(-1, 1, ALONG, dtype=begin.dtype)
+    ways = torch.linspace(-1, 1, ALONG, dtype=begin.dtype).reshape(-1, 1, 1)
+    along = torch.where(torch.eye(n_x, dtype=torch.bool), middle + half * ways, begin)
     generator = torch.Generator().manual_seed(0)
     inside = middle + half * (2 * torch.rand(INSIDE, n_x, generator=generator, dtype=begin.dtype) - 1)
     least, most = torch.tensor(system.signature.input_limits or (WHOLE,) * n_u, dtype=begin.dtype).mT

@@ -136,7 +136,10 @@ def simulate(
         return torch.stack(ends, -2), touched
 
     if isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u[0])) is not None:
-        samples, touched = code.flight(x, u, dt, substeps, stops)
+        x, u = x.contiguous(), u.contiguous()
+        samples = x.new_empty(*u.shape[:-1], count, x.shape[-1])
+        touched = torch.empty(u.shape[:-1], dtype=torch.bool)
+        code.bind(x, u, samples, touched, dt, substeps, stops)()
     else:
         samples, touched = repeat_steps(_period, x, u)
     if difference and not samples.shape[-2] == substeps == 1:  # the samples are all from the end of the period

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from dynasindy.systems.compiler import addresses, c_text, load_library
 from dynasindy.systems.machine import Program
-from dynasindy.systems.steps import Steps, steps_of
+from dynasindy.systems.steps import steps_of
 from dynasindy.systems.tangents import FORMULA_FUNCTIONS, Tangents, parsed
 
 WIDTH = 16
@@ -41,9 +41,8 @@ def simulate_program(
 
     Arguments and errors are those of `simulate_sensitivities`, with a program for the whole vector field.
     """
-    listing = _Listing(replace(program, constants=(), step=None), len(program.constants), None)
-    units, steps = torch.eye(program.n_x, dtype=torch.float64), steps_of(program.step, dt, substeps)
-    return _simulated(listing, program, units, None, x, u, u_end, steps, update)[0]
+    units = torch.eye(program.n_x, dtype=torch.float64)
+    return simulate_sensitivities(program, None, units, None, x, u, dt, substeps, u_end, update)[0]
 
 
 class MeasurementUpdate(NamedTuple):
@@ -66,9 +65,9 @@ class MeasurementUpdate(NamedTuple):
 
 def simulate_sensitivities(
     functions: Program,
-    shapes: Sequence[int | None],
+    shapes: Sequence[int | None] | None,
     xi: Tensor,
-    parameters: tuple[Tensor, Tensor],
+    parameters: tuple[Tensor, Tensor] | None,
     x: Tensor,
     u: Tensor,
     dt: float,
@@ -80,7 +79,8 @@ def simulate_sensitivities(
 
     Args:
         functions: formulas of the functions, as a program whose results they are.
-        shapes: places among its constants of the numbers by which to differentiate, too, None of one that it lacks.
+        shapes: places among its constants of the numbers by which to differentiate, too, None of one that it lacks;
+            with None in place of both these and the parameters nothing is differentiated.
         xi: coefficients, `(n_functions, n_x)`.
         parameters: function and state of each coefficient by which to differentiate, `(P,)` int64 both.
         x: states at the start of the first period, `(rows, n_x)` float64.
@@ -98,31 +98,17 @@ def simulate_sensitivities(
         ValueError: a formula holds something that is none, or the compiler refuses the instructions' text.
         FileNotFoundError: there is no compiler.
     """
-    listing = _Listing(replace(functions, constants=(), step=None), len(functions.constants), (*shapes,))
+    own_shapes = None if shapes is None else (*shapes,)
+    listing = _Listing(replace(functions, constants=(), step=None), len(functions.constants), own_shapes)
     steps = steps_of(functions.step, dt, substeps)
-    return _simulated(listing, functions, xi, parameters, x, u, u_end, steps, update)
-
-
-def _simulated(
-    listing: _Listing,
-    program: Program,
-    xi: Tensor,
-    parameters: tuple[Tensor, Tensor] | None,
-    x: Tensor,
-    u: Tensor,
-    u_end: Tensor | None,
-    steps: Steps,
-    update: MeasurementUpdate | None,
-) -> tuple[Tensor, Tensor]:
-    """Return states at ends of periods, and their derivatives as `simulate_sensitivities`; no columns if unasked."""
-    n_x, n_shapes, (rows, periods, n_u) = program.n_x, listing.shapes, u.shape
+    n_x, n_shapes, (rows, periods, n_u) = functions.n_x, listing.shapes, u.shape
     features, states = (xi != 0).nonzero(as_tuple=True)
     rates = torch.stack([states, listing.functions[features]]).int(), xi[features, states]
     by_state, state_places = _summed(xi, listing.by_state, n_x)
     by_shape, shape_places = _summed(xi, listing.by_shape, max(n_shapes, 1))
     sums = [part for to, by in (rates, by_state, by_shape) for part in (to.shape[1], to, by)]
     sums += [part for places in (state_places, shape_places) for part in (places.shape[1], places)]
-    constants = torch.tensor([*program.constants, *listing.numbers], dtype=torch.float64)
+    constants = torch.tensor([*functions.constants, *listing.numbers], dtype=torch.float64)
     fitted = torch.zeros(2, 0) if update is None or update.free is None else update.free
     own = torch.zeros(2, 0).int() if parameters is None else torch.stack(parameters).int()
     columns = 0 if parameters is None else n_x + fitted.shape[1] + n_shapes + own.shape[1]

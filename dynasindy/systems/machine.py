@@ -110,45 +110,23 @@ class Machine:
         # The code reads as many numbers as it was written for, whatever is there.
         return x.shape[:-1] == u.shape[:-1] and (x.shape[-1:], u.shape[-1:]) == ((self.n_x,), (self.n_u,))
 
-    def flight(
-        self, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Advance states over control periods that follow each other, see `systems.simulate`.
-
-        Args:
-            x: states at the start of the first period, `(*batch, n_x)`.
-            u: inputs held in each period, `(T, *batch, n_u)`.
-            dt: control period [s].
-            substeps: Runge-Kutta steps per period.
-            stops: mechanical stops, if any.
-
-        Returns:
-            The states after each step of each period, `(T, *batch, substeps, n_x)`, and whether a stop was touched in
-            it, bool `(T, *batch)`. Of a difference equation the steps are its own.
-
-        Raises:
-            IndexError: a stop is of a state that does not exist.
-            ValueError: the period is not made of whole steps of a difference equation.
-        """
-        x, u = x.contiguous(), u.contiguous()
-        samples = x.new_empty(*u.shape[:-1], steps_of(self.step, dt, substeps).number, self.n_x)
-        touched = torch.empty(u.shape[:-1], dtype=torch.bool)
-        self.bind(x, u, samples, touched, dt, substeps, stops)()
-        return samples, touched
-
     def bind(
         self, x: Tensor, u: Tensor, samples: Tensor, touched: Tensor, dt: float, substeps: int, stops: Stops | None
     ) -> Callable[[], None]:
-        """Return the call that advances what lies in these tensors when it is made, see `flight`.
+        """Return the call that advances what lies in these tensors when it is made, over periods in their order.
 
         Args:
             x: states at the start of the first period, `(*batch, n_x)`.
             u: inputs held in each period, `(T, *batch, n_u)`.
-            samples: where the states go, `(T, *batch, steps, n_x)`.
+            samples: where the states go, `(T, *batch, steps, n_x)`; the steps of a difference equation are its own.
             touched: where it goes whether a stop was touched, bool `(T, *batch)`.
             dt: control period [s].
             substeps: Runge-Kutta steps per period.
             stops: mechanical stops, if any.
+
+        Raises:
+            IndexError: a stop is of a state that does not exist.
+            ValueError: the period is not made of whole steps of a difference equation.
         """
         length, count, _ = steps_of(self.step, dt, substeps)
         ends, n_stops = self._in_memory(stops or FREE), len((stops or FREE).positions)

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from one_period import one_period
+from one_period import flight, one_period
 
 from dynasindy.systems import compiler as compiling
 from dynasindy.systems.compiler import compile_library, compiler, load_library
@@ -72,7 +72,7 @@ def test_a_flight_is_its_periods_one_by_one(dtype, rows, step):
     rng = torch.Generator().manual_seed(1)
     x = torch.rand(*rows, 2, generator=rng).to(dtype) - 0.5
     u = torch.rand(60, *rows, 1, generator=rng).to(dtype) * 8 - 4
-    samples, touched = code.flight(x, u, 0.1, 2, wall)
+    samples, touched = flight(code, x, u, 0.1, 2, wall)
     assert samples.shape == (60, *rows, 2, 2) and touched.shape == (60, *rows)
     for k in range(60):
         wanted, hit = one_period(code, x, u[k], 0.1, 2, wall)
@@ -184,7 +184,9 @@ for dtype in (torch.float32, torch.float64):
     code = Machine(Program(2, 1, (), ("0.0", " + ".join(f"{name}(x[0] * u[0])" for name in names))), dtype)
     x, u = torch.tensor(values, dtype=dtype).unsqueeze(-1).repeat(1, 2), torch.ones(len(values), 1, dtype=dtype)
     code.sensitivities(x, u, 0.1, 2)
-    gains = (code.flight(x, u.unsqueeze(0), 0.1, 1)[0][0, :, 0, 1] - x[:, 1]) / 0.1
+    samples, touched = x.new_empty(1, len(values), 1, 2), torch.empty(1, len(values), dtype=torch.bool)
+    code.bind(x, u.unsqueeze(0), samples, touched, 0.1, 1, None)()
+    gains = (samples[0, :, 0, 1] - x[:, 1]) / 0.1
     expected = sum(getattr(torch, "abs" if name == "fabs" else name)(x[0, 0]) for name in names)
     assert math.isclose(gains[0].item(), expected.item(), rel_tol=1e-4), (gains, expected)
     assert not gains[-1].isfinite()
