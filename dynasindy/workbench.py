@@ -27,11 +27,13 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from dynasindy.agents import Actor
 from dynasindy.control import Controller, Observer
@@ -44,7 +46,7 @@ from dynasindy.evaluation.metrics import to_text
 from dynasindy.evaluation.scenarios import Policy, Scenario, step_references
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, wrong
-from dynasindy.identification.forecast_errors import forecast_errors
+from dynasindy.identification.forecast_errors import forecast_errors, predict_from
 from dynasindy.identification.identify import before_fit
 from dynasindy.identification.log_fit import fit_log
 from dynasindy.identification.recording_diagnostics import (
@@ -74,13 +76,15 @@ from dynasindy.sindy import Refinement, SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.sindy.shooting import STABLE
-from dynasindy.systems import System
+from dynasindy.systems import Diverged, System
 from dynasindy.systems.transitions import Transitions
 
 FINE = 5
 """Runge-Kutta steps of a predicted control period."""
 FLOWN = 64
 """Targets that are flown to where no scenario is given."""
+MOST_ROWS = 4000
+"""Rows of a log, at most, whose pushes models are flown under: ten samples each of the periods of a flight."""
 HALVES = 2
 """Stretches of a log that a model is fitted to again, to see what the log leaves open."""
 
@@ -227,7 +231,11 @@ def forecast(
     log = log.with_states_of(model)
     unseen = "what the plan has not seen"
     models = [fit for parts in (1, HALVES) for fit in _refits(model, log.validation, parts, unseen)]
-    found = replace(Forecast.of(models or [model], env, policy, scenario, sensing, within), in_sample=not models)
+    pushes = [_pushes(controller, model, part) for part in (log.training, log.validation)]
+    known = [each for each in pushes if each is not None]
+    moved = torch.cat(known) if known else None
+    found = Forecast.of(models or [model], env, policy, scenario, sensing, within, moved)
+    found = replace(found, in_sample=not models)
     doubts = _doubts(model, log, LONGEST * controller.dt)
     doubts += [short] if (short := refit_shortage(model, log)) else []
     if found.evaluation is not None:
@@ -315,6 +323,36 @@ def _sensors_of(log: Source, model: SindyModel) -> Sensors | None:
     return None if exact and not model.delay else Sensors(channels, rates, disturbance=bool(rates) or not exact)
 
 
+def _pushes(controller: Controller, model: SindyModel, data: Transitions) -> Tensor | None:
+    """Return what moved the plant in a recording and is not in a model, in each control period, `(T, n_x)`.
+
+    It is None where there is no observer, as of exact states, or where too little of the recording is in one piece.
+    """
+    if controller.observer is None:
+        return None
+    part = _longest_stretch(data)
+    part = part.select(torch.arange(len(part)) >= len(part) - MOST_ROWS)
+    late, watched, observer = delay_inputs(part, model.delay), copy.copy(model), copy.copy(controller.observer)
+    watched.delay = 0.0
+    observer.model, observer.dt, observer.substeps = watched, late.dt, watched.substeps(late.dt, STABLE)
+    stride = round(controller.dt / late.dt)
+    begins = torch.arange(0, len(late) - stride + 1, stride)
+    with suppress(Diverged):
+        u, u_end = late.inputs_of(torch.arange(len(late)))
+        x = observer.smooth(torch.cat([late.x[:1], late.x_next]), u if u_end is None else 0.5 * (u + u_end))
+        later = begins.unsqueeze(-1) + torch.arange(stride)
+        found = x[begins + stride] - predict_from(watched, late, x[begins], later)[:, -1]
+        return found if len(found) and bool(found.isfinite().all()) else None
+    return None
+
+
+def _longest_stretch(data: Transitions) -> Transitions:
+    """Return the longest stretch of a recording without a break."""
+    labels, counts = data.segment.unique_consecutive(return_counts=True)
+    longest: Transitions = data.select(data.segment == labels[int(counts.argmax())])
+    return longest
+
+
 def _watching(model: SindyModel, sensors: Sensors, setup: ControlSetup, log: Source | None) -> Observer:
     """Return an observer that has learnt its process noise from a log."""
     if log is None:
@@ -323,8 +361,7 @@ def _watching(model: SindyModel, sensors: Sensors, setup: ControlSetup, log: Sou
     stride = round(setup.dt / data.dt)
     if stride < 1 or abs(stride * data.dt - setup.dt) > 1e-6 * setup.dt:
         raise ValueError(f"dt is {setup.dt} s, no multiple of the log's sampling time {data.dt:.6g} s; give another")
-    labels, counts = data.segment.unique_consecutive(return_counts=True)
-    part: Transitions = data.select(data.segment == labels[int(counts.argmax())])
+    part = _longest_stretch(data)
     periods = len(part) // stride
     if periods < 2:
         raise ValueError(f"the longest stretch of the log has {len(part)} samples; give one of two periods or more")

@@ -10,11 +10,12 @@ import pytest
 import torch
 
 import dynasindy
-from dynasindy.control import Controller
+from dynasindy.control import Controller, Observer
 from dynasindy.control.controller import ControlSetup
 from dynasindy.data.recording import Recording
 from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import ControlEnv, Multisine, RandomStep, Step, Tracking, TrackingReward
+from dynasindy.envs.sensors import Channel, Sensors
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.findings import FindingError, wrong
 from dynasindy.identification.source import Source
@@ -162,6 +163,38 @@ def test_the_prediction_has_the_controllers_integral_action(model):
     assert shown.flights[0].share["theta"] < 0.003
     assert shown.controlled
     assert not without.controlled
+
+
+@pytest.mark.parametrize("size", [0.0, 0.1])
+def test_models_are_flown_under_the_pushes_of_the_log(size, write_log, tmp_path):
+    """A cart v' = 10 u - 10 v + 5 w with pushes of 0.06 s, sampled with noise, whose input is left at zero.
+
+    Its speed then varies by w alone, as that of a plant does that is simulated beside it.
+    """
+    rng, h, x, w, rows, far = np.random.default_rng(0), 0.01, np.zeros(2), np.zeros(2), [], []
+    for k in range(3000):
+        if k % 12 == 0:
+            u = rng.uniform(-1, 1)
+        rows.append([x[0] + 0.003 * rng.standard_normal(), u])
+        far.append(abs(x[1]))
+        w = np.exp(-h / 0.06) * w + size * math.sqrt(1 - np.exp(-2 * h / 0.06)) * rng.standard_normal(2)
+        settled = np.array([u, 0.0]) + 0.5 * w
+        x = settled + np.exp(-10 * h) * (x - settled)
+    rows = torch.tensor(rows)
+    log = dynasindy.read(write_log(tmp_path / "log.csv", ["v [m/s]", "u"], rows[:, :1], rows[:, 1:]))
+    model = dynasindy.identify(log, ["v", "u"], method="trajectory", longest_delay=0.0)
+    task = dynasindy.workbench.tracking_task(model, {"v": (-0.5, 0.5)})
+    setup = ControlSetup(task, h)
+
+    def idle(tensordict):
+        return tensordict.set("action", torch.zeros(*tensordict.batch_size, 1))
+
+    scenario = Scenario("step", Step([[0.0]] * 32), episodes=32, seconds=4.0)
+    observer = Observer(model, Sensors({"v": Channel(noise=0.003)}), setup)
+    observer.learn(rows[:1501, :1].double(), rows[:1500, 1:].double())
+    found = forecast(Controller(idle, setup, observer), model, log, scenario)
+    share = [flight.share["v"] for flight in found.flights]
+    assert share[0] == pytest.approx(np.mean(far), rel=0.25, abs=1e-3) and max(share) < 1.6 * np.mean(far) + 1e-3
 
 
 def test_nothing_is_promised_by_a_log_of_which_nothing_was_kept(exact):

@@ -261,6 +261,29 @@ class Observer:
         return torch.stack(means, -2), torch.stack(nis, -1), torch.stack(likelihoods, -1)
 
     @torch.no_grad()
+    def smooth(self, y: Tensor, u: Tensor) -> Tensor:
+        """Return the states of a log by all of its measurements, before and after, `(T + 1, n_x)`.
+
+        Source: Rauch, Tung and Striebel (1965).
+
+        Args:
+            y: Measurements, `(T + 1, n_x)`.
+            u: Commands in between, `(T, n_u)`.
+        """
+        past = torch.cat([torch.zeros(self.memory, u.shape[-1], dtype=torch.float64), u.double()])
+        beliefs, ahead, slopes = [self.begin(y[0])], list[Belief](), list[Tensor]()
+        for k, measured in enumerate(y[1:], 1):
+            mean, slope = self.transition(beliefs[-1].mean, past[k : k + self.memory])
+            ahead.append(self.carried(beliefs[-1], mean, slope))
+            beliefs.append(self.correct(ahead[-1], measured)[0])
+            slopes.append(slope)
+        x = [beliefs[-1].mean]
+        for belief, after, slope in zip(beliefs[-2::-1], ahead[::-1], slopes[::-1], strict=True):
+            back = torch.linalg.solve_ex(after.covariance, slope @ belief.covariance)[0].mT
+            x.append(belief.mean + back @ (x[-1] - after.mean))
+        return torch.stack(x[::-1])[:, : self.n_x]
+
+    @torch.no_grad()
     def lean(self, model: System, logs: Sequence[tuple[Tensor, Tensor]]) -> None:
         """Rely on a rough model until `learn` is called, as far as its innovations allow.
 

@@ -57,6 +57,9 @@ class ControlEnv(EnvBase):
     batch_locked = False
     left_beyond = math.inf
     """Ranges of a state at whose end an episode is over and stays; a model is asked about where it runs away."""
+    pushes: Tensor | None = None
+    """Changes of the states by the end of each control period that the system does not explain, `(T, n_x)`. They come
+    in turn and begin anew, in each row of a batch at another place."""
 
     @checked
     def __init__(
@@ -118,6 +121,7 @@ class ControlEnv(EnvBase):
     def _around(self, system: System, task: Task, dtype: torch.dtype, seed: int, **more: Any) -> ControlEnv:
         env = ControlEnv(system, task, self.dt, self.substeps, dtype=dtype, seed=seed, delay=self.delay, **more)
         env.stops = self.stops  # the beam's, not the model's: a model knows nothing of them
+        env.pushes = self.pushes
         return env
 
     def advance(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
@@ -268,6 +272,10 @@ class ControlEnv(EnvBase):
         if self.delay:
             self._command(tensordict["action"], bool((tensordict["step_count"] == 0).all()))
         samples, touched = self._within(x, tensordict["action"].to(x.dtype))
+        if self.pushes is not None:
+            first = (torch.arange(len(x)) * len(self.pushes)).div(len(x), rounding_mode="floor")
+            samples = samples.clone()
+            samples[..., -1, :] += self.pushes[(first + tensordict["step_count"].squeeze(-1)) % len(self.pushes)]
         return self._moved(tensordict, samples, touched)
 
     def _command(self, u: Tensor, begins: bool) -> None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from dynasindy.control.sensing import Sensing
 from dynasindy.envs import ControlEnv
@@ -18,6 +19,9 @@ from dynasindy.findings import Finding, records, weak, wrong
 from dynasindy.sentences import gravest_first
 from dynasindy.systems import Diverged, System
 from dynasindy.systems.equilibria import states_that_matter
+
+PARTS, SURE = 10, 2.0
+"""Parts of a log by which the mean square of its pushes is known, and standard errors that it may be larger."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,7 @@ class Forecast:
         scenario: Scenario,
         sensing: Sensing | None = None,
         within: float = WITHIN,
+        pushes: Tensor | None = None,
     ) -> Forecast:
         """Fly a controller on models in the place of the plant.
 
@@ -63,24 +68,34 @@ class Forecast:
             scenario: Situation to fly in.
             sensing: Sensors and observer through which the policy sees a plant.
             within: Mean absolute error at the end that is asked for, in target ranges.
+            pushes: What moves the models besides, see `ControlEnv.pushes`; nothing if omitted. All models but the first
+                get pushes as large as they may be in the long run.
         """
         flights: list[TrackingCriteria | None] = []
         shown: Evaluation | None = None
+        result: Evaluation | None
+        flight: TrackingCriteria | None
         for k, model in enumerate(models):
             env = plan.with_system(model, torch.float64)
             env.delay = float(getattr(model, "delay", 0.0))
-            result: Evaluation | None = None
+            seen = None if sensing is None else sensing.on(env, sensing.rng)
+            result, flight = None, None
+            fly = partial(evaluate, env, policy, scenario, seen)
             with suppress(Diverged):
-                seen = None if sensing is None else sensing.on(env, sensing.rng)
-                result = evaluate(env, policy, scenario, seen, f"flights on model {k + 1} of {len(models)}")
-            if result is None or bool(result.lost.any()):
-                flights.append(None)
-                continue
-            shown = shown or result
-            start = result.trajectory["state"][0, 0]
-            matter = states_that_matter(model, result.columns, start)
-            rerun = partial(evaluate, env, policy, scenario, seen)
-            flights.append(judge_tracking(result, matter, rerun))
+                result = fly(f"flights on model {k + 1} of {len(models)}")
+                if not bool(result.lost.any()):
+                    start = result.trajectory["state"][0, 0]
+                    flight = judge_tracking(result, states_that_matter(model, result.columns, start), fly)
+                if flight is not None and pushes is not None:
+                    # Whether states come to rest, flights without pushes tell.
+                    env.pushes = pushes if k == 0 else pushes * _growth(pushes)
+                    result = fly(f"flights on model {k + 1} of {len(models)}, pushed as in the log")
+                    pushed = judge_tracking(result, torch.zeros(model.signature.n_x, dtype=torch.bool))
+                    flight = (
+                        None if bool(result.lost.any()) else replace(flight, share=pushed.share, worst=pushed.worst)
+                    )
+            flights.append(flight)
+            shown = shown if shown or flight is None else result
         return cls(tuple(flights), shown, within=within, seconds=scenario.length(plan))
 
     def __repr__(self) -> str:
@@ -147,3 +162,10 @@ class Forecast:
         judged: dict[str, Any] = {"promised": self.promised, "controlled": self.controlled, "within": self.within}
         judged |= {"sentence": self.summary()}
         return {"models": len(flights), **judged, "flights": flights, "findings": records(self.findings)}
+
+
+def _growth(pushes: Tensor) -> Tensor:
+    """Return the factor by which pushes `(T, n_x)` of each state may be larger than in a log that had few, `(n_x,)`."""
+    means = torch.stack([part.square().mean(0) for part in pushes.tensor_split(PARTS) if len(part)])
+    error = (means.std(0) / len(means) ** 0.5 / means.mean(0)).nan_to_num(nan=0.0)
+    return (1 + SURE * error).sqrt()

@@ -98,6 +98,26 @@ def test_on_a_linear_plant_it_is_the_textbooks_filter_with_lost_samples_too():
     torch.testing.assert_close(belief.covariance, covariance, rtol=1e-6, atol=1e-12)
 
 
+def test_smoothed_states_are_the_likeliest_by_all_measurements():
+    """On a linear plant those are the least squares of all innovations, noises and first states at once."""
+    ours, (y, u, _) = observer(), logged(40, lost=0.2)
+    first, (f, g) = ours.begin(y[0]), held(DT)
+    noises = (1e-2 * SCALE * math.sqrt(DT)).repeat(40)
+    seen = y.clone()
+    seen[0] = math.nan  # the first belief has it
+    places, count = (~seen.flatten().isnan()).nonzero().flatten(), 41 * 3
+    sizes = ours.variance.sqrt().repeat(41)[places]
+    moves = torch.zeros(40 * 3, count, dtype=torch.float64)
+    for k in range(40):
+        moves[3 * k : 3 * k + 3, 3 * k : 3 * k + 6] = torch.cat([-f, torch.eye(3, dtype=torch.float64)], 1)
+    start, sensors = torch.eye(3, count, dtype=torch.float64), torch.eye(count, dtype=torch.float64)[places]
+    deviations = first.covariance.diagonal().sqrt()
+    rows = [start / deviations[:, None], moves / noises[:, None], sensors / sizes[:, None]]
+    values = [first.mean / deviations, (u @ g.T).flatten() / noises, seen.flatten()[places] / sizes]
+    theirs = torch.linalg.lstsq(torch.cat(rows), torch.cat(values)).solution.reshape(41, 3)
+    torch.testing.assert_close(ours.smooth(y, u), theirs, rtol=0, atol=1e-6)
+
+
 @pytest.mark.parametrize(("delay", "late"), [(0.0, 0), (0.05, 0), (0.07, 0), (0.0, 2), (0.07, 2), (0.1, 1)])
 def test_without_noise_it_is_where_the_plant_will_be_when_the_next_input_arrives(delay, late):
     """The plant gets its inputs `delay` seconds late, the observer its measurements `late` periods later."""

@@ -117,6 +117,28 @@ def test_a_state_that_nothing_depends_on_may_run_on():
     assert list(found.flights[0].idle) == ["theta"]
 
 
+def test_a_plant_is_as_far_off_as_pushes_hold_it():
+    """A speed v' = u - v that is pushed by p at the end of each period h rests at u + p / (1 - exp(-h)) then."""
+    car, push = Car(), torch.tensor([[0.0, 0.002]], dtype=torch.float64)
+    task = Tracking(car.signature, Step([[0.5]]), ("Omega",), (None,), TrackingReward((1.0,)), max_steps=600)
+    env = ControlEnv(car, task, 0.1, dtype=torch.float64)
+
+    def constant(tensordict):
+        return tensordict.set("action", torch.full((*tensordict.batch_size, 1), 0.5))
+
+    still = Scenario("step", episodes=3, seconds=30.0)
+    found = Forecast.of([car, car], env, constant, still, pushes=push.expand(40, -1))
+    off = 0.002 / (1 - np.exp(-0.1))
+    for flight in found.flights:  # of pushes that are always alike no log has too few
+        assert flight.share["Omega"] == pytest.approx(off, rel=1e-3) == flight.worst["Omega"]
+    assert list(found.flights[0].idle) == ["theta"]
+    once = torch.zeros(60, 2, dtype=torch.float64)
+    once[7] = push
+    rare = Forecast.of([car, car], env, constant, still, pushes=once)
+    first, second = (flight.share["Omega"] for flight in rare.flights)
+    assert first < 0.1 * off and 1.3 * first < second < 2 * first
+
+
 def flown(delay, inputs):
     """Return the pendulum's states under inputs that are delayed by hand: 12 u - 9.81 sin(theta) - 0.5 theta'."""
     whole, part = int(delay / 0.05 + 1e-9), delay / 0.05 - int(delay / 0.05 + 1e-9)
