@@ -1,21 +1,18 @@
 """From samples of what moves in steps to equations in discrete time, and from these to a controller."""
 
-import warnings
 from dataclasses import replace
 
-import gymnasium
 import numpy as np
 import pytest
 import torch
 
 import dynasindy
 from dynasindy.control import load, save
-from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy import Regression, SindyModel
 from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
 
 DT = 0.25
-LIBRARY = ["1", "p", "v", "force", "cos(3 p)", "sin(3 p)", "v cos(3 p)"]
 
 
 def following(a, b, u):
@@ -137,36 +134,3 @@ def test_a_controller_with_an_observer_in_discrete_time_is_the_same_out_of_its_f
     for _ in range(30):
         y = 0.1 * rng.standard_normal(2)
         assert read.act(y, [0.05]) == pytest.approx(controller.act(y, [0.05]), abs=1e-6)
-
-
-def driven(steps, seed):
-    """States and inputs of Gymnasium's car, pushed at random in each step, without those at an end of its ranges."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        env = gymnasium.make("MountainCarContinuous-v0")
-    rng, parts, push = np.random.default_rng(seed), [], np.zeros(1)
-    seen, _ = env.reset(seed=seed)
-    for k in range(steps):
-        push = rng.uniform(-1, 1, 1) if k % 5 == 0 else push
-        after, _, ended, cut, _ = env.step(push.astype(np.float32))
-        parts.append((*env.unwrapped.state, *push, *seen))
-        seen = after
-        if ended or cut:
-            seen, _ = env.reset()
-    whole = torch.tensor(np.array(parts), dtype=torch.float64)
-    x_next, u, x = whole.split([2, 1, 2], -1)
-    free = (x_next[:, 0] > -1.2) & (x_next[:, 1] != 0)
-    data = Transitions(x, u, x_next, 1.0, torch.arange(len(x)))
-    return data.select(free)
-
-
-def test_gymnasium_s_car_is_found_as_its_source_has_it():
-    """v += 0.0015 force - 0.0025 cos(3 p); p += v, the new one: gymnasium/envs/classic_control."""
-    signature = Signature(("p", "v"), ("-", "-"), ("force",), (1.2, 0.07))
-    model = SindyModel(signature, LIBRARY, Regression("bic"), Refinement("one_step"), time="discrete")
-    model.fit(driven(600, 3))
-    pushes = " + 0.0015 force - 0.0025 cos(3 p)"
-    assert model.equations(3) == [f"p[k+1] = p + v{pushes}", f"v[k+1] = v{pushes}"]
-    continuous = SindyModel(signature, LIBRARY, Regression("bic"), Refinement("one_step"))
-    continuous.fit(driven(600, 3))
-    assert int((continuous.coefficients != 0).sum()) > int((model.coefficients != 0).sum())

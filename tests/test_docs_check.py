@@ -6,10 +6,6 @@ import shutil
 import textwrap
 from pathlib import Path
 
-import pytest
-
-from dynasindy.evaluation.check import Settings, check, check_verdict
-
 REPOSITORY = Path(__file__).parents[1]
 PAGE = (REPOSITORY / "docs" / "check.md").read_text()
 INTEGRAL = re.findall(r"^    (import dynasindy\n(?:(?:    .*)?\n)+)", PAGE, re.M)
@@ -35,17 +31,3 @@ def test_the_lines_on_integral_action_save_a_controller_that_has_it(tmp_path, mo
     after = json.loads((run / "controller.json").read_text())
     assert before.pop("integral") is None and after.pop("integral")["gain"] > 0
     assert after["policy"] == before["policy"] and after["signature"]["x_scale"] == before["signature"]["x_scale"]
-
-
-def test_half_the_step_gives_the_same_margin(monkeypatch):
-    monkeypatch.chdir(REPOSITORY)
-    names = {}
-    exec(compile(BLOCK.split("settings = ")[0], "docs/check.md", "exec"), names)
-    loop, controller = names["ClosedLoop"], names["controller"]
-    settings = Settings((0.1, 0.1), (0.1, 0.1), points=1, grid=2, draws=0, seconds=1.0)
-    gains = []
-    for step in (0.01, 0.005):
-        found = check(loop(controller, names["model"], step), settings)
-        assert check_verdict(found)
-        gains.append([each.gain for each in found.margins[0]])
-    assert gains[0] == pytest.approx(gains[1], rel=1e-3)

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import forked
-import numpy as np
 import pytest
 
 REPOSITORY = Path(__file__).parents[1]
@@ -82,31 +81,6 @@ def test_the_reward_and_the_agent_of_the_page_are_made_by_the_words_of_a_command
         *words.split(),
     )
     assert printed.split() == ["Power", "1.5", "Keen", "2", "0.97"]
-
-
-def test_the_scenario_of_the_page_pushes_the_plant_when_it_says(extended, tmp_path):
-    (words,) = re.findall(r"^    python (scripts/evaluate\.py --config-dir .*) run=\S+ '(.*)'$", LINES, re.M)
-    run(
-        extended,
-        "-c",
-        "import sys, hydra, hydra.utils, omegaconf, torch\n"
-        f"with hydra.initialize_config_dir({str(extended / 'conf')!r}, version_base='1.3'):\n"
-        "    cfg = hydra.compose('train', ['system=servo', 'scenario.seconds=8', 'folder=' + sys.argv[1]])\n"
-        "omegaconf.OmegaConf.save(cfg, sys.argv[1] + '/config.yaml', resolve=True)\n"
-        "policy = hydra.utils.instantiate(cfg.agent, _convert_='all')(n_obs=4, n_u=1).deployed\n"
-        "torch.save(policy.state_dict(), sys.argv[1] + '/policy.pt')\n",
-        str(tmp_path),
-    )
-    printed = run(extended, *words[0].split(), f"run={tmp_path}", words[1], "formats=[svg]")
-    assert "Scenario 'gust' (64 references, 20 s" in printed
-    step, gust = (
-        np.loadtxt(tmp_path / "evaluation" / f"{name}.csv", delimiter=",", skiprows=1) for name in ("step", "gust")
-    )
-    before = step[:, 0] <= 6.0
-    np.testing.assert_array_equal(gust[: len(step)][before], step[before])
-    rate = (gust[: len(step)] - step)[:, 2]
-    # Half a second of 5 rad/s^2, held back by the voltage that the motor itself makes.
-    assert 0.1 < rate[np.isclose(step[:, 0], 6.5)].item() < 2.5
 
 
 @pytest.mark.slow

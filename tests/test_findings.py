@@ -66,11 +66,3 @@ def test_a_setting_is_what_the_reader_can_give(monkeypatch, value):
 @pytest.mark.parametrize("code", ["run.gate_closed", "check.slew", "check.stability", "run.tracked", "control.period"])
 def test_a_finding_of_another_version_says_what_it_holds(code):
     assert sentence(code, {"unlike": 2}) == f"{code}: unlike 2"
-
-
-def test_one_is_not_said_as_many() -> None:
-    for times, words in ((1, "back once,"), (3, "back 3 times,")):
-        assert words in str(note("log.sorted", count=times, line=4))
-    samples = [str(note("log.touched_stop", count=count)) for count in (1, 2)]
-    assert "1 sample that touched a stop was" in samples[0] and "2 samples that touched a stop were" in samples[1]
-    assert " 0 s" not in str(weak("model.unstable_plant", states=["q"], seconds=0.0))

@@ -1,20 +1,17 @@
 """A controller from a log: which model is taken, what is judged, and what the figures and the table say of it."""
 
-import json
 from dataclasses import replace
 
 import pytest
 import torch
 
-import dynasindy
 from dynasindy.dyna.simulated import record_plant
-from dynasindy.envs import Multisine, Step
-from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.envs import Multisine
 from dynasindy.findings import note
 from dynasindy.identification.source import Source
 from dynasindy.sindy import Regression, SindyModel
 from dynasindy.systems import Pendulum, Signature
-from dynasindy.workbench import log_report, model_of, tracking_task
+from dynasindy.workbench import model_of
 
 LIBRARY = ["1", "u", "Omega", "sin(theta)"]
 
@@ -63,23 +60,3 @@ def test_a_model_of_other_volts_is_refused(source, tmp_path):
     assert model_of(replace(source, signature=volts), build, tmp_path / "model.json").signature == volts
     with pytest.raises(ValueError, match="ends"):
         model_of(source, build, tmp_path / "model.json")
-
-
-def test_what_is_flown_is_said_in_one_voice(source, tmp_path):
-    """Table, prediction and record say that no plant was flown; 64 targets are flown for the task's 20 s."""
-    model = model_of(source, build)
-    task = tracking_task(model, {"theta": (-0.6, 0.6)})
-    settings = {"updates": 1, "rollouts": 4, "window": 5}
-    controller = dynasindy.plan(model, task, source, seed=3, **settings)
-    scenario = Scenario("step", Step([[0.2]]), seconds=None)  # as long as the task's episodes
-    prediction = dynasindy.forecast(controller, model, source, scenario, 3, 0.9)
-    assert len(prediction.flights) == 3 and prediction.within == 0.9
-    assert prediction.evaluation.seconds == pytest.approx(task.max_steps * controller.dt)
-    own = dynasindy.forecast(controller, model, None, scenario, 3, 0.9)
-    for found, place in (
-        (prediction, "on a model fitted to data that the plan never saw"),
-        (own, "of the plan itself"),
-    ):
-        table, sentence = log_report(model, found).rsplit("\n\n", 1)
-        assert place in found.place and found.place in table and sentence == found.summary()
-    assert json.dumps(prediction.record(), allow_nan=False)

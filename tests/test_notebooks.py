@@ -32,10 +32,6 @@ def shown(notebook: Path) -> list[tuple[set[str], list[str]]]:
     return found
 
 
-def test_there_are_two_notebooks():
-    assert NAMES == ["log_to_c", "ten_seconds"]
-
-
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=NAMES)
 def test_a_notebook_is_small_and_holds_its_outputs_and_no_commands_of_jupyter(notebook):
     record = json.loads(notebook.read_text())

@@ -308,13 +308,9 @@ def test_a_motion_that_is_fast_against_the_period_is_flown_in_steps_that_are_sta
     "call",
     [
         lambda log, model: dynasindy.read(None),
-        lambda log, model: dynasindy.read("log.csv", time=5),
         lambda log, model: dynasindy.identify("log.csv"),
-        lambda log, model: dynasindy.identify(log, library=[None]),
         lambda log, model: dynasindy.identify(log, known={"theta": 5}),
         lambda log, model: dynasindy.plan(model, {"theta": 0.4}),
-        lambda log, model: dynasindy.plan(model, {"theta": (-0.4, 0.4)}, log="log.csv"),
-        lambda log, model: dynasindy.forecast(model, log),
         lambda log, model: dynasindy.simulate(model, log, {"theta": 0.4}),
     ],
 )

@@ -78,14 +78,6 @@ def test_resumed_replay_equals_an_uninterrupted_one(tmp_path, model):
     assert torch.equal(replay.model[:]["action"], resumed.model[:]["action"])
 
 
-def test_large_numbers_whose_sum_is_none_are_finite():
-    replay = DynaReplay(5, 2, keys=LEARN_KEYS)
-    large = rows(2, 3e38)
-    replay.model.extend(large)
-    replay.extend_real(large.exclude("index"))
-    assert len(replay.model) == len(replay.real) == 2
-
-
 @pytest.mark.parametrize("written", [4, 5, 7, 8])
 def test_the_newest_real_rows_are_replaced_in_the_order_of_time_also_across_the_end_of_the_ring(written):
     replay = DynaReplay(5, 2, 1.0, keys=LEARN_KEYS)

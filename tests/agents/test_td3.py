@@ -187,14 +187,10 @@ def test_updates_are_those_of_the_algorithm_written_with_torch_alone(machine_cod
     ("name", "edges", "beyond"),
     [
         ("actor_lr", (1e-9, 1), (0, 0.0)),
-        ("critic_lr", (1e-9, 1), (0,)),
         ("gamma", (1, 1e-9), (0.0, 1.0001, math.nan)),
         ("tau", (1, 1e-9), (0, 1.0001, "fast")),
-        ("policy_average", (0, 0.999), (1.0, -1e-9)),
         ("policy_noise", (0, 3), (-1e-9,)),
-        ("noise_clip", (0, 3), (-1e-9,)),
         ("policy_delay", (1,), (0, 1.0, 2.5)),
-        ("target_update_interval", (1,), (0, -1, 1.0)),
         ("critics", (2,), (1, 2.0)),
     ],
 )

@@ -30,13 +30,3 @@ def test_noise_is_in_the_data_of_the_cases_with_noise_only():
         calm, seen = (env.rollout(50, parts.excitation) for env in (parts.plant, parts.env))
         spread = (seen["next", "samples"] - calm["next", "samples"]).std((0, 1))
         torch.testing.assert_close(spread, torch.tensor(std, dtype=spread.dtype), rtol=0.3, atol=0)
-
-
-def test_the_bench_sees_no_rates_and_its_delay_is_in_the_data():
-    for name in ("bench", "bench_delay"):
-        parts = gradient.build_recipe(gradient.CASES[name], "xi", 0, TINY).build()
-        seen = parts.env.rollout(3, parts.excitation)
-        assert seen["next", "samples"].isnan().all(0).all(0).tolist() == [False, False, True, True, False, False]
-        u = seen["action"][0] if name == "bench" else torch.zeros(2)
-        first = parts.plant.advance(torch.zeros(6).double(), u.double())[0][-1]
-        assert torch.equal(seen["next", "true_state"][0], first)

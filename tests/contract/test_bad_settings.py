@@ -109,6 +109,15 @@ def test_what_is_missing_or_wrong_where_a_log_is_planned_from(refused, log, tmp_
         ("table", [], "folder"),
         ("ablation", ["setting=direct,oracle", "planning.updatez=3"], "'updatez'"),
         ("ablation", ["experiment=smoke", "hydra/launcher=basic", "level.error=-1"], "level"),
+        ("train", ["sensors.channels={alpha_a: {noise: 1}}"], "sensors=bench"),
+        ("train", ["data.path=log.csv"], "data=csv"),
+        ("train", ["~planning"], "~planning"),
+        ("train", ["~seed"], "~seed"),
+        ("train", ["--seed=3"], "--seed=3"),
+        ("train", ["-m", "seed=0,1", "--sead"], "--sead"),
+        ("train", ["plant.outputs=[alpha_a,alpha_a]"], "plant.outputs"),
+        ("train", ["experiment=smoke", "scenario.seconds=0.01"], "scenario.seconds"),
+        ("identify", ["system=pendulum", "world_model=oracle"], "world_model"),
     ],
 )
 def test_a_bad_setting_of_any_other_command(refused, tmp_path, name, words, key):
@@ -186,20 +195,6 @@ def test_a_setting_that_makes_no_sense_beside_another_one(command, log, tmp_path
     lines = [line for line in done.err.splitlines() if line.startswith("error: ")]
     assert (done.code, len(lines)) == (2, 1) and "Traceback" not in done.err and key in lines[0], done
     assert name == "train" or sorted(tmp_path.iterdir()) == before
-
-
-@pytest.mark.parametrize(("key", "value"), [("step", 0), ("delay", 1e300)])
-def test_a_number_of_a_model_file_that_is_none(refused, tmp_path, key, value):
-    import json
-
-    from dynasindy.sindy import SindyModel
-    from dynasindy.systems import Pendulum
-
-    made = SindyModel(Pendulum().signature, ["theta", "Omega", "u"], known={"theta": "Omega"})
-    made.save(tmp_path / "model.json")
-    record = json.loads((tmp_path / "model.json").read_text())
-    (tmp_path / "model.json").write_text(json.dumps(record | {key: value}))
-    assert key in refused("train", "model=model.json", *TASK, cwd=tmp_path)
 
 
 PLANT = """

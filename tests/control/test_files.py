@@ -121,26 +121,6 @@ def test_without_an_observer_too(tmp_path):
     np.testing.assert_array_equal(acts_seeing_all(load(tmp_path)), expected)
 
 
-def test_the_file_tells_names_units_and_period_to_a_reader(tmp_path):
-    save(built(), tmp_path / "c.json")
-    record = json.loads((tmp_path / "c.json").read_text())
-    assert record["signature"]["state_units"] == ["rad", "rad/s"]
-    assert record["task"] == {
-        "dt": 0.04,
-        "substeps": 3,
-        "stops": {"positions": [0], "rates": [1], "low": [-0.6], "high": [0.6]},
-        "outputs": ["theta"],
-        "rates": ["Omega"],
-        "observe_rate": True,
-        "error_scale": 0.7,
-        "box": [pytest.approx(1.8)],
-        "targets": [[-0.5], [1.3]],
-        "input_limits": [[-1.0], [1.0]],
-    }
-    assert record["observer"]["model"]["delay"] == 0.07
-    assert record["integral"] is None
-
-
 def damaged(tmp_path, change):
     save(built(), tmp_path / "c.json")
     record = json.loads((tmp_path / "c.json").read_text())

@@ -220,17 +220,6 @@ def test_what_is_not_given_follows_the_plant_and_what_is_given_stays(setting, sm
     assert (planner.pace.window, planner.pace.patience, planner.env.substeps) == (20, 7, 3)
 
 
-def test_a_phase_of_more_updates_waits_longer_for_a_better_policy(setting):
-    waits = []
-    for updates in (280, 400, 840):
-        planner = GradientPlanning(*setting(), updates=updates, rollouts=2, window=2, substeps=1)
-        planner._update = lambda episodes, optimizer: False  # a phase that learns nothing ends at its first test
-        with pytest.raises(Diverged):
-            planner.plan()
-        waits.append(planner.pace.patience)
-    assert waits == [3, 3, 9]
-
-
 def test_a_resumed_plan_says_what_the_plan_before_it_chose(setting, small):
     env, agent, replay = setting()
     first, second = (GradientPlanning(env, agent, replay, updates=2, **small) for _ in range(2))

@@ -3,10 +3,7 @@
 import importlib
 from pathlib import Path
 
-import pytest
 from omegaconf import OmegaConf
-
-from dynasindy.safe_io import DamagedFileError
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -40,13 +37,3 @@ def test_every_part_of_the_groups_is_admitted(monkeypatch):
             if file.stem in ("logged", "black_box"):
                 continue
             require_trusted(OmegaConf.to_container(OmegaConf.load(file)))
-
-
-@pytest.mark.parametrize("text", ["17", "- 1", "a: [1", "true", "a: *b"])
-def test_settings_of_a_run_that_are_no_keys_and_values_are_damaged(tmp_path, monkeypatch, text):
-    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
-    from settings import read_config
-
-    (tmp_path / "config.yaml").write_text(text)
-    with pytest.raises(DamagedFileError):
-        read_config(tmp_path / "config.yaml")

@@ -162,27 +162,6 @@ def test_a_key_that_follows_another_one_names_it(word):
         read_words("train", [*others, word])
 
 
-@pytest.mark.parametrize(
-    ("command", "words", "named"),
-    [
-        ("train", ["sensors.channels={alpha_a: {noise: 1}}"], "sensors=bench"),
-        ("train", ["data.path=log.csv"], "data=csv"),
-        ("train", ["~planning"], "~planning"),
-        ("train", ["~seed"], "~seed"),
-        ("train", ["--seed=3"], "--seed=3"),
-        ("train", ["-m", "seed=0,1", "--sead"], "--sead"),
-        ("train", ["plant.outputs=[alpha_a,alpha_a]"], "plant.outputs"),
-        ("train", ["experiment=smoke", "scenario.seconds=0.01"], "scenario.seconds"),
-        ("identify", ["system=pendulum", "world_model=oracle"], "world_model"),
-    ],
-)
-def test_what_is_refused_costs_one_line_and_leaves_no_folder(tmp_path, command, words, named):
-    done = forked.call(command, *words, cwd=tmp_path)
-    (line,) = done.stderr.strip().split("error: ")[1:]
-    assert (done.returncode, named in " ".join(line.split())) == (2, True), done.stderr
-    assert "usage" not in done.stderr and not [*tmp_path.rglob("*.*")]
-
-
 def test_a_value_in_the_place_of_a_group_that_others_read_is_refused_in_plain_words():
     with pytest.raises(ValueError, match="no group of keys; give the keys as conf/ does"):
         check(composed("train", "plant=3"))

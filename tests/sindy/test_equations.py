@@ -8,8 +8,7 @@ import re
 import pytest
 import torch
 
-from dynasindy.identification.identify import _coefficient_lines, _coefficient_tables
-from dynasindy.sindy.covariance import Covariance
+from dynasindy.identification.identify import _coefficient_tables
 from dynasindy.sindy.equations import equations
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
 from dynasindy.sindy.model import SindyModel
@@ -108,20 +107,3 @@ def test_a_difference_equation_is_written_as_what_a_state_is_next():
     ]  # fmt: skip
     rows = list(csv.reader(io.StringIO(tables(library, xi)["csv"])))
     assert rows[0] == ["function", "p[k+1] [m]", "v[k+1] [m/s]"] and ["p", "1.0", "0.0"] in rows
-
-
-@pytest.mark.parametrize(
-    ("value", "error", "written"),
-    [
-        (1.23412, 0.00499, "1.2341 ± 0.0050"),
-        (314.2, 12.3, "314 ± 12"),
-        (0.0, 0.25, "0.00 ± 0.25"),
-        (3.1e-7, 2e-8, "(3.10 ± 0.20)e-07"),
-        (0.02, 31.0, "0 ± 31"),
-    ],
-)
-def test_an_error_has_two_digits_and_its_number_as_many_places(value, error, written):
-    model = SindyModel(signature := Signature(("v",), ("m/s",), (), (1.0,)), Library(signature, [CONSTANT]))
-    model.coefficients, errors = (torch.tensor([[number]], dtype=torch.float64) for number in (value, error))
-    place = torch.zeros(1, dtype=torch.int64)
-    assert _coefficient_lines(model, Covariance(place, place, errors)) == [f"v'  {written}  1"]
