@@ -88,6 +88,12 @@ def test_a_plant_that_falls_is_held_within_its_bounds_and_found_without_bias():
     torch.testing.assert_close(model.coefficients[:, 1], expected, atol=0.05, rtol=0.02)
 
 
+def test_a_plant_that_falls_though_it_is_said_to_stay_is_held_too():
+    source = Simulated(bounds={"theta": 0.5}, validation_seconds=1.0).load(Inverted(), CHIRP)
+    assert len(source.training) == 1000 and [each.code for each in source.findings] == ["excitation.restarts"]
+    assert float(source.training.x[::5, 0].abs().max()) <= 0.5
+
+
 def test_bounds_that_exclude_the_start_are_refused_and_a_far_start_is_no_running_away():
     with pytest.raises(ValueError, match=r"^data\.start has theta .*data\.bounds"):
         Simulated(bounds={"theta": [0.5, 1.0]}).load(Inverted(), CHIRP)

@@ -92,6 +92,8 @@ def test_noise_comes_from_the_sensors_of_a_plant_and_else_from_its_ranges() -> N
     assert SensorNoise(lambda td: td, env, sensors=sensors).std.tolist() == pytest.approx(wanted)
     named = SensorNoise(lambda td: td, env, {"Omega_a": 0.02, "omega_p": 20.0})
     assert named.std.tolist() == pytest.approx([0.0, 0.0, 0.02, 0.0, 0.0, 20.0])
+    with pytest.raises(ValueError, match="0 or more"):
+        SensorNoise(lambda td: td, env, {"omega_p": -0.1})
 
 
 def test_a_plant_in_discrete_time_is_pushed_and_detuned_in_its_steps():

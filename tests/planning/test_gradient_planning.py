@@ -163,6 +163,17 @@ def test_a_model_in_which_every_episode_diverges_stops_the_phase_at_its_first_te
     assert torch.equal(weights(agent.policy), before[0]) and torch.equal(weights(agent.deployed), before[1])
 
 
+def test_a_reward_that_is_not_finite_is_told_from_a_model_that_explodes(setting, small):
+    env, agent, replay = setting()
+    before = weights(agent.policy)
+    planner = GradientPlanning(env, agent, replay, updates=40, **small)
+    reward = planner.env.task.reward_function
+    planner.env.task.reward_function = lambda *of: reward(*of) * math.nan
+    with pytest.raises(Diverged, match=r"0 of 4 .* 0 of 64 .*reward"):
+        planner.plan()
+    assert torch.equal(weights(agent.policy), before)
+
+
 def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(setting, small):
     env, agent, replay = setting()
     settings = small | {"updates": 6, "check_every": 2, "warm_start": True, "gain_range": 0.0, "input_delay": 0.0}
