@@ -107,7 +107,7 @@ def targets(canary: Path) -> dict[str, dict[str, object]]:
         "hydra.utils.call": {"config": {"x": 1}},
         "dynasindy.safe_io.os.system": {"command": f"touch {canary}"},
         "dynasindy.dyna.run.torch.load": {"f": str(pickled), "weights_only": False},
-        "dynasindy.safe_io.write_rows": {"path": str(canary), "columns": ["a"], "rows": []},
+        "dynasindy.safe_io.write_csv": {"path": str(canary), "header": ["a"], "rows": []},
         "dynasindy.sindy.SindyModel.load": {"path": str(pickled)},
         "dynasindy.sindy.register_function": {"name": "sin", "formula": "{0}"},
         "dynasindy.data.recording.LogReader": {"path": "/etc/passwd", "states": {"a": "a"}, "inputs": {"u": "u"}},

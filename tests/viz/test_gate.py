@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from dynasindy.viz.run import _growing_error, gate
+from dynasindy.viz.run import gate
 
 DECISIONS = {
     "episode": [1, 2, 3],
@@ -36,15 +36,3 @@ def test_where_the_model_ran_away_there_is_a_mark_at_the_upper_edge():
     assert [line.get_xdata().tolist() for line in marks] == [[1.0, 2.0], [3.0]]
     assert {height for line in marks for height in line.get_ydata()} == {upper.get_ylim()[1]}
     assert not [line for line in lower.lines if line.get_marker() == "^"]
-
-
-def test_an_error_that_is_tiny_is_drawn_as_it_is_and_one_that_is_zero_is_marked_below():
-    (axis,) = _growing_error(np.array([1, 2, 3]), np.array([1e-14, 0.0, 3e-13])).axes
-    np.testing.assert_array_equal(axis.lines[0].get_ydata(), [1e-14, np.nan, 3e-13])
-    assert axis.lines[1].get_xydata().tolist() == [[2.0, 5e-15]]
-    (axis,) = _growing_error(np.array([0.0, 0.5, 1.0]), np.array([0.0, 0.1, 0.4])).axes
-    line, mark = axis.lines
-    np.testing.assert_array_equal(line.get_ydata(), [np.nan, 0.1, 0.4])
-    assert mark.get_xydata().tolist() == [[0.0, 0.05]] and mark.get_marker() == "v"
-    assert axis.get_yscale() == "log" and axis.get_xlim() == (0.0, 1.0)
-    assert axis.get_ylim()[0] > 1e-3  # and not twelve decades below the errors
