@@ -108,8 +108,8 @@ class Simulated(DataSource):
             )
         unseen = Aprbs(
             signal.n_u,
-            seconds,
-            period,
+            duration=seconds,
+            dt=period,
             hold=min(HOLD, seconds),
             amplitude=(0.7 * signal.amplitude).tolist(),
             offset=signal.offset.tolist(),

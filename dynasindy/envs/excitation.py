@@ -23,6 +23,8 @@ Share = Annotated[float, Field(gt=0, le=1)]
 class _Common(TypedDict, total=False):
     """Settings that subclasses pass on, by name; see `Excitation`."""
 
+    duration: float | None
+    dt: float
     amplitude: Levels
     offset: Levels
     seed: int
@@ -132,30 +134,20 @@ class Chirp(Excitation):
 
     Args:
         n_u: number of inputs.
-        duration: length of the experiment [s]; None is 200 control periods.
-        dt: control period [s].
         band: frequency at the beginning and at the end [Hz]; None ends at a twentieth of the control rate.
-        **common: amplitude, offset and seed, see `Excitation`.
+        **common: duration, control period, amplitude, offset and seed, see `Excitation`.
 
     Raises:
         ValueError: a frequency is negative or above half of the control rate, or what `Excitation` raises.
     """
 
-    def __init__(
-        self,
-        n_u: int,
-        duration: float | None = 10.0,
-        dt: float = 0.05,
-        *,
-        band: Sequence[float] | None = (0.0, 1.0),
-        **common: Unpack[_Common],
-    ) -> None:
-        super().__init__(n_u, duration, dt, **common)
-        band = (0.0, 0.05 / dt) if band is None else band
-        if len(band) != 2 or not 0 <= min(band) <= max(band) <= 0.5 / dt:
+    def __init__(self, n_u: int, *, band: Sequence[float] | None = (0.0, 1.0), **common: Unpack[_Common]) -> None:
+        super().__init__(n_u, **common)
+        band = (0.0, 0.05 / self.dt) if band is None else band
+        if len(band) != 2 or not 0 <= min(band) <= max(band) <= 0.5 / self.dt:
             raise ValueError(
                 f"excitation.band is {list(band)} Hz; allowed are two frequencies, from 0 to half of the control rate, "
-                f"{0.5 / dt:g} Hz, beyond which an input that is held is another signal: lower them, or env.dt"
+                f"{0.5 / self.dt:g} Hz, beyond which an input that is held is another signal: lower them, or env.dt"
             )
         self.start = float(band[0])
         self.stop = torch.tensor([band[1] * (1.0 if i % 2 == 0 else 0.7) for i in range(n_u)], dtype=torch.float64)
@@ -176,25 +168,15 @@ class Multisine(Excitation):
 
     Args:
         n_u: number of inputs.
-        duration: length of the experiment [s]; None is 200 control periods.
-        dt: control period [s].
         harmonics: number K of harmonics of each input.
-        **common: amplitude, offset and seed, see `Excitation`.
+        **common: duration, control period, amplitude, offset and seed, see `Excitation`.
 
     Raises:
         ValueError: there is no harmonic, or what `Excitation` raises.
     """
 
-    def __init__(
-        self,
-        n_u: int,
-        duration: float | None = 10.0,
-        dt: float = 0.05,
-        *,
-        harmonics: int = 8,
-        **common: Unpack[_Common],
-    ) -> None:
-        super().__init__(n_u, duration, dt, **common)
+    def __init__(self, n_u: int, *, harmonics: int = 8, **common: Unpack[_Common]) -> None:
+        super().__init__(n_u, **common)
         if harmonics < 1:
             raise ValueError(f"the signal got {harmonics} harmonics; allowed are 1 or more: 8 suits 10 s")
         self._check_size(min(self.dt, self.duration / 4096), harmonics)
@@ -216,23 +198,13 @@ class Aprbs(Excitation):
 
     Args:
         n_u: number of inputs.
-        duration: length of the experiment [s]; None is 200 control periods.
-        dt: control period [s].
         hold: time for which a level is held [s]; None is ten control periods.
-        **common: amplitude, offset and seed, see `Excitation`.
+        **common: duration, control period, amplitude, offset and seed, see `Excitation`.
     """
 
-    def __init__(
-        self,
-        n_u: int,
-        duration: float | None = 10.0,
-        dt: float = 0.05,
-        *,
-        hold: float | None = 0.5,
-        **common: Unpack[_Common],
-    ) -> None:
-        super().__init__(n_u, duration, dt, **common)
-        own, hold = hold, 10 * dt if hold is None else hold
+    def __init__(self, n_u: int, *, hold: float | None = 0.5, **common: Unpack[_Common]) -> None:
+        super().__init__(n_u, **common)
+        own, hold = hold, 10 * self.dt if hold is None else hold
         if not hold > 0 or (own is not None and hold > self.duration):
             raise ValueError(
                 f"excitation.hold is {hold:g} s; allowed is a time above 0, up to the whole experiment, "

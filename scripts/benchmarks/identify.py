@@ -87,7 +87,7 @@ def true_table() -> Tensor:
 
 def xi_recordings(seconds: float, dt: float, seeds: Iterable[int]) -> list[Transitions]:
     """Record the plant `xi` under random steps held for 0.5 s, around hover, for several seeds."""
-    signals = [Aprbs(2, seconds, amplitude=(0.6, 0.45), offset=HOVER, seed=seed) for seed in seeds]
+    signals = [Aprbs(2, duration=seconds, amplitude=(0.6, 0.45), offset=HOVER, seed=seed) for seed in seeds]
     return [record_plant(Xi(), signal.samples(dt), dt, round(dt / 0.001)) for signal in signals]
 
 
@@ -187,12 +187,12 @@ def rig(plant: System, library: str, excitation: Excitation, goal: str) -> list[
 
 def tras(_: int) -> list[Row]:
     """Identify `tras` from 20 s."""
-    return rig(Tras(), "rotor", Chirp(2, 20.0, amplitude=(0.4, 0.2), offset=(-0.11, 0.25)), "<= 2")
+    return rig(Tras(), "rotor", Chirp(2, duration=20.0, amplitude=(0.4, 0.2), offset=(-0.11, 0.25)), "<= 2")
 
 
 def trms33(_: int) -> list[Row]:
     """Identify `trms33` from 20 s; its Coulomb friction and the products of its inertias are in no library."""
-    excitation = Aprbs(2, 20.0, amplitude=(0.3, 0.15), offset=(0.22, 0.56))
+    excitation = Aprbs(2, duration=20.0, amplitude=(0.3, 0.15), offset=(0.22, 0.56))
     rows = rig(Trms33(), "rotor_reaction", excitation, "best honest figure")
     return [*rows, rig(Trms33(), "rotor", excitation, "")[0]]
 
@@ -253,7 +253,9 @@ class Experiment:
 
     def clean(self, seeds: int) -> list[Transitions]:
         """Record the plant without noise, once for each seed."""
-        signals = [Aprbs(1, self.seconds, self.dt, hold=self.hold, amplitude=1.0, seed=k) for k in range(seeds)]
+        signals = [
+            Aprbs(1, duration=self.seconds, dt=self.dt, hold=self.hold, amplitude=1.0, seed=k) for k in range(seeds)
+        ]
         steps, start = round(self.dt / 0.001), torch.tensor(self.start)
         return [record_plant(self.plant, signal.samples(self.dt), self.dt, steps, start) for signal in signals]
 

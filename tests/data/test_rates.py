@@ -164,7 +164,10 @@ def test_an_axis_that_moves_almost_like_another_one_is_not_taken_for_it():
 @pytest.mark.parametrize("plant", [Tras, Xi, Pendulum])
 def test_no_simulated_plant_is_told(plant):
     system = plant()
-    for signal in (Chirp(system.signature.n_u, 10.0), Multisine(system.signature.n_u, duration=10.0, dt=0.05, seed=1)):
+    for signal in (
+        Chirp(system.signature.n_u, duration=10.0),
+        Multisine(system.signature.n_u, duration=10.0, dt=0.05, seed=1),
+    ):
         exact = record_plant(system, signal.samples(0.01), 0.01, substeps=2)
         for noise in (0.0, 0.02, 0.2):
             assert mismatched(exact.disturbed(noise, 0), system.signature) == []

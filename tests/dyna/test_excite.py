@@ -52,7 +52,7 @@ def parts(plant, n_r=1, duration=10.0, sensing=None, careful=None, **settings):
         plant.signature, RandomStep([-0.2] * n_r, [0.2] * n_r), names[:n_r], (), TrackingReward((1.0,)), **settings
     )
     env = ControlEnv(plant, task, dtype=torch.float64)
-    signal = Multisine(plant.signature.n_u, duration, 0.05, amplitude=0.3, seed=1, **(careful or {}))
+    signal = Multisine(plant.signature.n_u, duration=duration, dt=0.05, amplitude=0.3, seed=1, **(careful or {}))
     return SimpleNamespace(plant=env, env=env, excitation=signal, sensing=sensing)
 
 
@@ -130,7 +130,7 @@ def test_behind_sensors_a_pole_that_falls_is_held_after_a_few_tries(spring):
     env = ControlEnv(plant, task, dtype=torch.float64)
     sensors = Sensors({"p": {"resolution": 1e-3}, "theta": {"resolution": 1.5e-3}}, rates={"p": "v", "theta": "omega"})
     sensing = Sensing(env, Observer(plant, sensors, env), torch.Generator().manual_seed(0))
-    signal = Multisine(1, 10.0, 0.05, amplitude=0.2, seed=1)
+    signal = Multisine(1, duration=10.0, dt=0.05, amplitude=0.2, seed=1)
     excited = excite(SimpleNamespace(plant=env, env=sensing.around(env), excitation=signal, sensing=sensing))
     begins = [*(excited["step_count"].flatten() == 0).nonzero().flatten().tolist(), 200]
     assert len(begins) <= 5 and max(b - a for a, b in zip(begins, begins[1:], strict=False)) > 80

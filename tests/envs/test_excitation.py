@@ -63,12 +63,14 @@ def test_a_range_may_reach_the_limit_and_must_not_lie_beyond_it():
 
 @pytest.mark.parametrize("dt", [0.05, 2.0])
 def test_times_that_are_not_given_follow_the_control_period(dt):
-    assert [kind(1, None, dt).n_steps for kind in (Multisine, Aprbs)] == [200] * 2
-    assert Chirp(1, None, dt, band=None).n_steps == 200
-    held = Aprbs(1, None, dt, hold=None).samples()
+    assert [kind(1, duration=None, dt=dt).n_steps for kind in (Multisine, Aprbs)] == [200] * 2
+    assert Chirp(1, duration=None, dt=dt, band=None).n_steps == 200
+    held = Aprbs(1, duration=None, dt=dt, hold=None).samples()
     assert (held[:10] == held[0]).all() and (held[10:20] == held[10]).all() and held[10] != held[9]
-    swept = Chirp(1, None, dt, band=None, amplitude=1.0).samples()
-    torch.testing.assert_close(swept, Chirp(1, 200 * dt, dt, band=(0.0, 0.05 / dt), amplitude=1.0).samples())
+    swept = Chirp(1, duration=None, dt=dt, band=None, amplitude=1.0).samples()
+    torch.testing.assert_close(
+        swept, Chirp(1, duration=200 * dt, dt=dt, band=(0.0, 0.05 / dt), amplitude=1.0).samples()
+    )
 
 
 def test_it_begins_at_a_share_of_its_strength_that_doubles_every_ten_periods():

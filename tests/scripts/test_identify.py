@@ -82,7 +82,7 @@ def next_command(done):
 @pytest.mark.slow
 def test_what_is_said_to_come_next_runs_as_it_stands_and_has_all_that_was_given(tmp_path, write_log):
     """The angle of a pendulum alone, whose rate is estimated with the model, whether it was named or not."""
-    data = record_plant(Pendulum(), Aprbs(1, 6.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Aprbs(1, duration=6.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     log = write_log(tmp_path / "my log.csv", ["theta [rad]", "u"], data.x[:, :1], data.u)
     given = ["data=csv", f"data.path='{log}'", "plant.start={theta: [-0.1, 0.1]}"]
     words = [*given, "plant.known={theta: theta_rate}"]

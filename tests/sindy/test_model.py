@@ -83,7 +83,7 @@ def test_exact_derivatives_give_the_published_table_and_nothing_else():
 
 
 def test_ten_seconds_of_held_inputs_give_the_published_terms():
-    data = _recording(Xi(), Aprbs(2, 10.0, amplitude=(0.6, 0.45), offset=HOVER, seed=1))
+    data = _recording(Xi(), Aprbs(2, duration=10.0, amplitude=(0.6, 0.45), offset=HOVER, seed=1))
     model = SindyModel(Xi().signature, "paper_table", Regression("bic"), Refinement("one_step"))
     model.fit(data)
     found = _found(model)
@@ -93,8 +93,8 @@ def test_ten_seconds_of_held_inputs_give_the_published_terms():
 
 def test_the_rotor_model_predicts_the_first_principles_plant_over_an_episode():
     model = SindyModel(Tras().signature, "rotor", Regression("bic"), Refinement(), known=KNOWN)
-    model.fit(_recording(Tras(), Chirp(2, 10.0, amplitude=(0.3, 0.2), offset=HOVER)))
-    unseen = _recording(Tras(), Multisine(2, 10.0, amplitude=(0.3, 0.2), offset=(-0.11, 0.3), seed=0))
+    model.fit(_recording(Tras(), Chirp(2, duration=10.0, amplitude=(0.3, 0.2), offset=HOVER)))
+    unseen = _recording(Tras(), Multisine(2, duration=10.0, amplitude=(0.3, 0.2), offset=(-0.11, 0.3), seed=0))
     with torch.no_grad():
         predicted = model.simulate(unseen.x[:1], unseen.u.unsqueeze(0), 0.01)[0, 1:]
     error = (predicted - unseen.x_next).square().mean(0).sqrt() / unseen.x_next.std(0)
@@ -182,7 +182,7 @@ class Beam(System):
 @pytest.mark.parametrize("seed", range(3))
 def test_of_functions_that_look_alike_those_stay_that_hold_farther_out(seed):
     plant, ends = Beam(), torch.tensor([0.3, 0.5, 1.2, 2.0], dtype=torch.float64)
-    u = Aprbs(1, 10.0, amplitude=(0.4,), seed=seed).samples(0.02)
+    u = Aprbs(1, duration=10.0, amplitude=(0.4,), seed=seed).samples(0.02)
     states = [torch.zeros(1, 4).double()]
     for k in range(len(u)):
         states.append(integrate(plant, states[-1], u[k : k + 1], 0.02, 4)[0][:, -1])
