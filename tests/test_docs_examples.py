@@ -64,25 +64,6 @@ def test_the_command_that_tests_a_plant_of_ones_own_passes(extended, tmp_path):
     assert re.search(r"^\d+ passed(?!, \d+ skipped)", printed, re.M)
 
 
-def test_the_reward_and_the_agent_of_the_page_are_made_by_the_words_of_a_command(extended):
-    (words,) = re.findall(r"^    python scripts/train\.py (system=servo task\.reward.*)$", LINES, re.M)
-    printed = run(
-        extended,
-        "-c",
-        "import sys, hydra, hydra.utils\n"
-        "sys.path.insert(0, 'scripts')\n"
-        "from settings import check\n"
-        f"with hydra.initialize_config_dir({str(extended / 'conf')!r}, version_base='1.3'):\n"
-        "    cfg = hydra.compose('train', [*sys.argv[1:], 'agent=keen', 'folder=run'])\n"
-        "check(cfg)\n"
-        "reward = hydra.utils.instantiate(cfg.task.reward, _convert_='all')\n"
-        "agent = hydra.utils.instantiate(cfg.agent, _convert_='all')(3, 1)\n"
-        "print(type(reward).__name__, reward.power, type(agent).__name__, agent.times, agent.settings.gamma)",
-        *words.split(),
-    )
-    assert printed.split() == ["Power", "1.5", "Keen", "2", "0.97"]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("experiment", ["smoke", "gradient_smoke"])
 def test_a_task_without_references_trains_and_is_judged_by_its_return(extended, experiment):

@@ -9,8 +9,7 @@ from benchmark import parse
 from benchmarks import rigs
 from benchmarks.opponents import Arx, HeatedBodies, Held, InverseDynamics, Log, StateSpace, choose
 from benchmarks.pysindy_regression import pysindy_of
-from benchmarks.rigs import Case, HarderRig, errors_ahead, errors_simulated, read_log, rms
-from benchmarks.surrogate_rig import DRY, Rig
+from benchmarks.rigs import Case, errors_ahead, errors_simulated, read_log, rms
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, dlsim, lfilter
 
@@ -161,12 +160,3 @@ def test_pysindy_finds_linear_tanks_by_the_reading_and_its_rate():
     assert found["u"] == pytest.approx(0.04 * GAIN, rel=0.1)
     with pytest.raises(ValueError, match="equation"):
         pysindy_of(SindyModel(signature, words, known={"reading": "rate"}), data, 10.0)
-
-
-def test_the_harder_surrogate_stiffens_and_sticks():
-    x, u = torch.tensor([0.5, 0.1, 0.05, -0.05, 0.0, 0.0], dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
-    plant, easier = HarderRig(), Rig()
-    more = (plant(x, u) - easier(x, u)).tolist()
-    peak = DRY * math.tanh(2.5) * math.exp(-0.25)
-    inertia = plant.constants.inertia_a[0] * math.cos(0.1) ** 2 + plant.constants.inertia_a[1]
-    assert more == pytest.approx([0, 0, -(0.03 * 0.125 + peak) / inertia, peak / plant.constants.inertia_p, 0, 0])

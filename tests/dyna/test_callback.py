@@ -11,9 +11,3 @@ def test_a_place_that_is_restored_is_the_same_place_and_the_same_cost():
     assert other == here and here.episodes == 7
     other.add(Planned(imagined=1, updates=2))
     assert (other.imagined, other.updates) == (21, 7) and here.updates == 5
-
-
-def test_a_place_that_an_earlier_version_kept_is_restored():
-    here = Place()
-    here.load_state_dict({"number": 9, "cost": {"real_steps": 3000, "imagined": 20, "updates": 5}})
-    assert here == Place(9, 3000, 20, 5)

@@ -36,14 +36,6 @@ def test_a_level_beam_looks_level_and_positive_pitch_lifts_the_main_rotor() -> N
     assert slope == pytest.approx(0.4 * math.cos(math.radians(28)), abs=0.12)
 
 
-def test_time_reference_and_speeds_change_the_picture() -> None:
-    signature = Tras().signature
-    plain = draw(signature, LEVEL, [0.0, 0.0], [0, 1])
-    assert (draw(signature, LEVEL, [0.4, 0.0], [0, 1]) != plain).any()
-    assert (draw(signature, [*LEVEL[:5], 3000.0], [0.0, 0.0], [0, 1]) != plain).any()
-    assert (draw(signature, LEVEL, [0.0, 0.0], [0, 1], "t = 1 s") != plain).any()
-
-
 def test_a_pendulum_at_rest_hangs() -> None:
     frame = draw(Pendulum().signature, [0.0, 0.0], [0.0], [0]).astype(int)
     inked = frame[..., 0] < 60  # the blue needle and the black reference on it, and no grey

@@ -188,6 +188,19 @@ def test_a_model_that_explodes_leaves_a_finite_input(pendulum):
     np.testing.assert_allclose(found[:3], expected, atol=1e-6)
 
 
+@needs_compiler
+def test_outputs_of_one_unit_have_each_their_own_box_after_save_and_load(tmp_path):
+    signature = Signature(("a", "b"), ("m", "m"), ("u", "v"), (3.0, 0.5))
+    task = Tracking(signature, Step([[0.0, 0.0]]), ("a", "b"), (), low=[0.0, 0.0], high=[0.0, 0.0])
+    policy = actor(task.n_o, 2, (4,)).requires_grad_(False)
+    for layer, weight in zip(policy.module.layers(), (torch.eye(4), torch.eye(4)[2:]), strict=True):
+        layer.weight.copy_(weight)  # u = tanh(error / (0.5 box)) for errors > 0
+        layer.bias.zero_()
+    save(Controller(policy, ControlSetup(task, 0.1)), tmp_path / "controller.json")
+    found = Native(controller_sources(load(tmp_path))).act([0.0, 0.0], [0.3, 0.2])
+    np.testing.assert_allclose(found, [math.tanh(0.3 / 1.5), math.tanh(0.2 / 0.25)], atol=1e-6)
+
+
 WATCHED = ("-O1", "-std=c99", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 """Settings under which a program ends where it reads or writes beside an array, or does what C leaves undefined."""
 

@@ -75,17 +75,6 @@ def test_the_main_figures_join_what_the_run_has_written_and_leave_it_as_it_is(tm
     assert json.loads(kept.read_text())["check"] == told
 
 
-def test_steps_begin_where_the_run_says_that_episodes_do(tmp_path):
-    run_folder(tmp_path / "run", 2.0)
-    words = "low: [-0.1], high: [0.1], start: {p: [0.02, 0.06]}, bounds: {p: 1.0, v: [-2.0, 2.0]}"
-    (tmp_path / "run" / "config.yaml").write_text(f"plant: {{{words}}}\n")
-    done = called(tmp_path, *SMALL)
-    assert done.returncode == 0, done.stderr
-    assert "p = 0.04 m" in done.stdout
-    settings = json.loads((tmp_path / "run" / "check" / "check.json").read_text())["settings"]
-    assert settings["start"] == {"p": [0.02, 0.06]} and settings["bounds"] == {"p": 1.0, "v": [-2.0, 2.0]}
-
-
 def test_what_is_missing_costs_one_line(tmp_path):
     run_folder(tmp_path / "run", 2.0)
     done = called(tmp_path, *SMALL)

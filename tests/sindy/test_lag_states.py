@@ -205,6 +205,26 @@ def test_a_delay_alone_is_no_lag():
     assert model.delay == pytest.approx(3 * DT, abs=0.02 * DT) and lag_state_candidates(model, data) == []
 
 
+def test_a_delay_is_told_from_a_lag_where_both_were_taken_for_one_delay():
+    """A wheel, w' = 8 a - 0.5 w, whose motor a lags its commands by 0.15 s, which come five samples late."""
+    shown = levels(24, 20, seed=3)
+    acting = torch.cat([shown[:1].expand(5, 1), shown])[: len(shown)]
+
+    def field(x, u):
+        return torch.stack([8 * x[1] - 0.5 * x[0], (u[0] - x[1]) / 0.15])
+
+    data = Transitions.from_trajectory(moved(field, [0.0, 0.0], acting, DT)[:, :1], shown, DT)
+    model = made(Signature(("w",), ("rad/s",), ("u",), (3.0,)), ["1", "w", "u", "w^2"], {}, "auto")
+    model.refinement = replace(model.refinement, longest_delay=None)
+    model.delay = 10 * DT
+    best = lag_state_candidates(model, data)[0]
+    assert "u" in best.followed.values() and best.initial_delay == pytest.approx(5 * DT)
+    best.fit(widened(data))
+    assert best.delay == pytest.approx(5 * DT, abs=0.02 * DT)
+    assert terms(best, "u_lagging") == {"(u - u_lagging)": pytest.approx(1 / 0.15, rel=0.01)}
+    assert terms(best, "w") == {"u_lagging": pytest.approx(8, rel=0.01), "w": pytest.approx(-0.5, rel=0.02)}
+
+
 @pytest.mark.parametrize("noise", [0.02, 0.1])
 def test_an_oven_of_one_store_has_no_second_one(noise):
     data = oven(noise=noise, wall=0.0)
