@@ -20,7 +20,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
-from torchrl.envs import Transform, TransformedEnv
+from torchrl.envs import Transform
 from torchrl.envs.utils import make_composite_from_td
 
 from dynasindy.control.controller import Policy, acting
@@ -59,10 +59,6 @@ class Sensing(Transform):
     def on(self, env: ControlEnv, rng: torch.Generator) -> Sensing:
         """Return the same sensors and observer for another environment of the same plant, with their own generator."""
         return Sensing(env, self.observer, rng, self.sensors)
-
-    def around(self, env: ControlEnv) -> TransformedEnv:
-        """Return an environment seen through the same sensors and observer, its noise drawn from the same generator."""
-        return TransformedEnv(env, self.on(env, self.rng))
 
     def controller(self, policy: Policy) -> Policy:
         """Return a policy as it acts behind the observer, whose estimate of a push it counteracts, if there is one."""

@@ -17,7 +17,7 @@ import pydantic
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.agents.replay import require_finite_rollout
@@ -456,7 +456,7 @@ def _run(
         if begins == ends:
             continue
         plant = calm.with_system(scenario.plant(calm.system)) if k % 2 and scenario.plant else calm
-        env = plant if sensing is None else sensing.around(plant)
+        env = plant if sensing is None else TransformedEnv(plant, sensing.on(plant, sensing.rng))
         part = env.rollout(ends - begins, policy, _told, auto_reset=False, tensordict=start, break_when_any_done=False)
         start = env.step_mdp(part[..., -1])
         parts.append(part)

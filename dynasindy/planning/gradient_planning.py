@@ -258,7 +258,7 @@ class GradientPlanning(Planner):
             rows.late = self.input_delay * (torch.arange(len(rows.x)) // 3 % 2).unsqueeze(-1).float()
         begun, held = Imitation(-math.inf), False
         if rests is not None and pace.warm_start:
-            begun, held = hold(self.network, self.env, rests, rows, self.test, self.rng, keep=not first), True
+            begun, held = hold(self, rests, keep=not first), True
         if begun.afar:
             updates, lr = pace.updates, pace.lr  # a way from afar is new, in a later phase too
         if begun.afar or was_afar:
@@ -283,7 +283,7 @@ class GradientPlanning(Planner):
                 break
             # The law of the model, where that is better than what the gradient has found and nobody rules it out.
             if not held and self.given.get("warm_start", True):
-                parts.append(hold(self.network, self.env, rests, rows, self.test, self.rng))
+                parts.append(hold(self, rests))
                 held, before = True, self.test()
             else:
                 before = parts[-1].score
@@ -294,7 +294,7 @@ class GradientPlanning(Planner):
             if k >= LEAST and parts[-1].score - before <= GAIN * abs(before):
                 break
         if rests is None and self.searches:  # there is no rest that ways could have been searched to
-            parts.append(improve(self.network, self.env, rows, self.test, self.rng, pace.window, self.searches))
+            parts.append(improve(self))
         for policy in (self.agent.policy, self.agent.deployed):  # of an agent on a GPU, or a running average
             if (network := _network(policy)) is not self.network:
                 network.load_state_dict(self.network.state_dict())

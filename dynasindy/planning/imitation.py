@@ -23,6 +23,7 @@ import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -33,6 +34,9 @@ from dynasindy.planning.rollout import Network, Rows, Window, imagine
 from dynasindy.planning.trajectory_library import WEIGHTS, TrajectoryLibrary, at_rest, cross_entropy, signal
 from dynasindy.progress import track
 from dynasindy.systems.equilibria import Equilibria
+
+if TYPE_CHECKING:
+    from dynasindy.planning.gradient_planning import GradientPlanning
 
 LADDER = (0.003, 0.03, 0.3, 3.0, 30.0, 300.0)
 """Weights of the tracked states that are tried; a plant of many poles is caught by gentle laws alone."""
@@ -65,30 +69,19 @@ class Imitation:
     afar: bool = False
 
 
-def hold(
-    network: nn.Module,
-    env: ControlEnv,
-    rests: Equilibria,
-    rows: Rows,
-    score: Callable[[Network], float],
-    rng: torch.Generator,
-    keep: bool | None = None,
-) -> Imitation:
+def hold(planner: GradientPlanning, rests: Equilibria, keep: bool | None = None) -> Imitation:
     """Let a policy begin as the best of some laws, if that earns more than the policy as it is.
 
     Args:
-        network: Policy, observations to inputs; trained in place.
-        env: Imagined environment.
+        planner: Its policy is trained in place. The inputs of the episodes by which it is tested are in time from now
+            on if ways from afar are taken, or if no regulator bears that they are late.
         rests: Equilibria of its model.
-        rows: Episodes by which policies are scored; their inputs are in time from now on if ways from afar are taken,
-            or if no regulator bears that they are late.
-        score: What a policy earns in the model.
-        rng: Source of starts, references and batches.
         keep: Whether a policy that holds the plant is left as it is. If omitted, delays are taken to be borne, and no
             ways from afar are searched for where no regulator brings every episode home.
     """
     # Departure: the paper's policy begins with random weights; on a plant that runs away ours begins as a law of the
     # model.
+    network, env, rows, score, rng = planner.network, planner.env, planner.held_out, planner.test, planner.rng
     laws, search = _regulators(env, rests), keep is not None
     if search and rows.late is not None and not _bears_delay(laws, env, rows):
         rows.late = None  # a plant that runs away within a period or two is held by inputs in time alone
@@ -198,32 +191,15 @@ GAINED = 0.1
 about which few ways tell."""
 
 
-def improve(
-    network: nn.Module,
-    env: ControlEnv,
-    rows: Rows,
-    score: Callable[[], float],
-    rng: torch.Generator,
-    periods: int,
-    rounds: int,
-) -> Imitation:
-    """Improve a policy by ways that earn more than its own; it is left as the best that it was.
-
-    Args:
-        network: Policy, observations to inputs; trained in place.
-        env: Imagined environment.
-        rows: Tells how far its states may go; not changed.
-        score: What the policy earns in the model.
-        rng: Source of starts, signals and batches.
-        periods: Length of a way [control periods].
-        rounds: Most rounds of search and imitation.
-    """
-    best, weights, imagined, updates, failures = score(), copy.deepcopy(network.state_dict()), 0, 0, 0
+def improve(planner: GradientPlanning) -> Imitation:
+    """Improve a planner's policy by ways that earn more than its own; it is left as the best that it was."""
+    network, env, rng, periods = planner.network, planner.env, planner.rng, planner.pace.window
+    best, weights, imagined, updates, failures = planner.test(), copy.deepcopy(network.state_dict()), 0, 0, 0
     kept: list[tuple[Tensor, Tensor]] = []
-    for _ in range(rounds):
+    for _ in range(planner.searches):
         if failures >= PATIENCE:
             break
-        begun = _starts(network, env, rows, rng, periods)
+        begun = _starts(network, env, planner.held_out, rng, periods)
         earned = imagined_rewards(env, imagine(env, network, begun, periods))
         way = _better(network, env, begun, rng, periods, least := float(earned.amin()))
         # The way to the starts, that of the policy, those of all signals, and the best one once more.
@@ -237,7 +213,7 @@ def improve(
         _lesson(network, torch.cat(observations), torch.cat(wanted), UPDATES, rng)
         kept.append((seen[alive & gained], way.actions[alive & gained]))
         updates += UPDATES
-        now = score()
+        now = planner.test()
         failures = 0 if now > best else failures + 1
         if now > best:
             best, weights = now, copy.deepcopy(network.state_dict())

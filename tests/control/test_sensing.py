@@ -42,7 +42,7 @@ def behind(channels=None, task=None, **settings):
     sensors = Sensors(channels or BENCH, rates=KNOWN, **settings)
     sensing = Sensing(env, Observer(Tras(), sensors, env), torch.Generator().manual_seed(0))
     sensing.observer.nis = 1.0
-    return env, sensing, sensing.around(env)
+    return env, sensing, TransformedEnv(env, sensing.on(env, sensing.rng))
 
 
 def chirp(steps=80):
@@ -56,7 +56,7 @@ def test_specs_hold(batch, disturbance):
     task = Tracking(plant.signature, Step([[0.1, 0.1]]))
     env = ControlEnv(plant, task, substeps=2, dtype=torch.float64, batch_size=batch)
     sensors = Sensors(BENCH, rates=KNOWN, delay=2, lost=0.1, actuator_delay=1, disturbance=disturbance)
-    check_env_specs(Sensing(env, Observer(plant, sensors, env), torch.Generator().manual_seed(0)).around(env))
+    check_env_specs(TransformedEnv(env, Sensing(env, Observer(plant, sensors, env), torch.Generator().manual_seed(0))))
 
 
 def test_the_plant_moves_as_it_does_without_sensors():
@@ -132,7 +132,7 @@ def test_an_estimate_beyond_all_sense_still_gives_numbers():
     env, sensing, _ = behind({"alpha_a": {}})
     wild = Sensing(env, Observer(Exploding(), sensing.sensors, env), torch.Generator().manual_seed(0))
     wild.observer.nis = 1.0
-    rollout = wild.around(env).rollout(80, chirp())
+    rollout = TransformedEnv(env, wild.on(env, wild.rng)).rollout(80, chirp())
     scale = torch.tensor(Tras().signature.x_scale, dtype=torch.float64)
     assert float((rollout["next", "state"] / scale).abs().max()) <= 1e4 * (1 + 1e-12)
     for key in ("state", "observation", "reward"):
@@ -145,7 +145,7 @@ def test_rows_of_a_batch_are_those_of_single_episodes():
     policy = TensorDictModule(lambda o: o[..., :2] * 0.5, in_keys=["observation"], out_keys=["action"])
     quiet = Sensors({name: {"resolution": COUNT} for name in ("alpha_a", "alpha_p")}, rates=KNOWN)
     sensing.observer = Observer(Tras(), quiet, env)
-    sensed = sensing.around(env)
+    sensed = TransformedEnv(env, sensing.on(env, sensing.rng))
 
     def fly(x):
         torch.manual_seed(0)

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from torchrl.envs import TransformedEnv
 
 from dynasindy.control import Observer
 from dynasindy.control.sensing import Sensing
@@ -33,7 +34,7 @@ def parts(measured):
     if measured:
         sensors = Sensors({"theta": {"resolution": 1.5e-3}}, rates={"theta": "Omega"})
         made.sensing = Sensing(env, Observer(Inverted(), sensors, env), torch.Generator().manual_seed(0))
-        made.env = made.sensing.around(env)
+        made.env = TransformedEnv(env, made.sensing.on(env, made.sensing.rng))
     return made
 
 

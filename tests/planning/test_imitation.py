@@ -1,6 +1,7 @@
 """What a policy begins with: it keeps to the law that it imitates, and takes one only where that earns more."""
 
 import math
+from types import SimpleNamespace
 
 import torch
 from torch import nn
@@ -55,7 +56,9 @@ def test_a_policy_begins_as_the_law_only_if_that_earns_more(inverted):
         network = MLP(3, 1, (8,), squash=True)
         before = nn.utils.parameters_to_vector(network.parameters()).clone()
         rows = Rows.draw(env, 4, torch.Generator())
-        earned = hold(network, env, rests, rows, score(network), torch.Generator().manual_seed(0), keep=False)
+        rng = torch.Generator().manual_seed(0)
+        planner = SimpleNamespace(network=network, env=env, held_out=rows, test=score(network), rng=rng)
+        earned = hold(planner, rests, keep=False)
         return earned.score, bool((nn.utils.parameters_to_vector(network.parameters()) == before).all())
 
     assert held(lambda network: lambda policy: 1.0 if policy is network else 0.0) == (1.0, True)  # no law is better

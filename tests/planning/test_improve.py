@@ -1,5 +1,7 @@
 """Ways over the border that a gradient cannot see, on a plant whose best way is known by hand."""
 
+from types import SimpleNamespace
+
 import pytest
 import torch
 from torch import nn
@@ -9,6 +11,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning import imitation as module
 from dynasindy.planning.imitation import _better, _starts, imagined_rewards, improve
+from dynasindy.planning.plan_settings import PlanSettings
 from dynasindy.planning.rollout import Rows, imagine
 from dynasindy.sindy import LearnedReward
 from dynasindy.systems import Signature, System
@@ -76,7 +79,9 @@ def test_the_gradient_alone_stays_and_imitation_of_ways_goes(monkeypatch):
     network, rng = lazy(), torch.Generator().manual_seed(0)
     slope = torch.autograd.functional.jacobian(lambda p: two_hills(None, None, p), torch.tensor([HERE]))
     assert abs(float(slope)) < 1e-6
-    done = improve(network, env, rows, lambda: earned(env, network), rng, PERIODS, 2)
+    planner = SimpleNamespace(network=network, env=env, held_out=rows, rng=rng, searches=2)
+    planner.test, planner.pace = lambda: earned(env, network), PlanSettings(window=PERIODS)
+    done = improve(planner)
     assert done.score == pytest.approx(earned(env, network))
     assert done.score > 0.85 * GONE
     assert done.updates == 1600 and done.imagined >= module.STARTS * PERIODS * module.POPULATION
