@@ -66,7 +66,8 @@ class Transitions:
         """Return the logged samples of real control periods as transitions, in float64.
 
         Of a plant behind sensors these are the measured samples, NaN where nothing was measured.
-        Periods in which a mechanical stop was touched are left out: they are not smooth dynamics.
+        Periods in which a mechanical stop was touched are left out: they are not smooth dynamics. A new segment begins
+        where a period does not start where the last one ended.
 
         Args:
             rows: Control periods `(T,)` in the order of time, with `state` or, behind sensors, `measurement`,
@@ -77,9 +78,15 @@ class Transitions:
             Up to `T * substeps` transitions.
         """
         samples, free = rows["next", "samples"].double(), ~rows["next", "at_stop"].reshape(-1)
-        start = rows["measurement"] if "measurement" in set(rows.keys()) else rows["state"]
-        logged = cls.from_samples(start.double(), rows["action"].double(), samples, log_dt)
-        return logged.select(free.repeat_interleave(logged.substeps))
+        start = (rows["measurement"] if "measurement" in set(rows.keys()) else rows["state"]).double()
+        substeps, n_x = samples.shape[-2:]
+        x, x_next = torch.cat([start.unsqueeze(1), samples[:, :-1]], 1).reshape(-1, n_x), samples.reshape(-1, n_x)
+        same = (x[1:] == x_next[:-1]) | (x[1:].isnan() & x_next[:-1].isnan())  # NaN is what was not measured
+        breaks = torch.zeros(len(x), dtype=torch.int64, device=x.device)
+        breaks[1:] = (~same.all(-1)).long()
+        held = rows["action"].double().repeat_interleave(substeps, 0)
+        logged = cls(x, held, x_next, log_dt, breaks.cumsum(0), substeps)
+        return logged.select(free.repeat_interleave(substeps))
 
     @classmethod
     def from_trajectory(cls, x: Tensor, u: Tensor, dt: float) -> Transitions:
@@ -92,28 +99,6 @@ class Transitions:
         """
         n = x.shape[0] - 1
         return cls(x[:n], u[:n], x[1:], dt, torch.zeros(n, dtype=torch.int64, device=x.device))
-
-    @classmethod
-    def from_samples(cls, start: Tensor, u: Tensor, samples: Tensor, dt: float) -> Transitions:
-        """Make fine transitions of control periods whose samples were logged.
-
-        Args:
-            start: state at the start of each control period, `(*batch, T, n_x)`.
-            u: input held in each control period, `(*batch, T, n_u)`.
-            samples: states within each period, the last one at its end, `(*batch, T, substeps, n_x)`.
-            dt: time between two samples [s]; a control period lasts `substeps * dt`.
-
-        Returns:
-            Transitions, one row per sample; a new segment where a period does not start where the last one ended.
-        """
-        substeps, n_x = samples.shape[-2:]
-        x = torch.cat([start.unsqueeze(-2), samples[..., :-1, :]], dim=-2).reshape(-1, n_x)
-        held = u.unsqueeze(-2).expand(*u.shape[:-1], substeps, u.shape[-1]).reshape(-1, u.shape[-1])
-        x_next = samples.reshape(-1, n_x)
-        same = (x[1:] == x_next[:-1]) | (x[1:].isnan() & x_next[:-1].isnan())  # NaN is what was not measured
-        breaks = torch.zeros(len(x), dtype=torch.int64, device=x.device)
-        breaks[1:] = (~same.all(-1)).long()
-        return cls(x, held, x_next, dt, breaks.cumsum(0), substeps)
 
     @classmethod
     def cat(cls, parts: Sequence[Transitions]) -> Transitions:

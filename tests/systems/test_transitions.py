@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from dynasindy.systems.transitions import Transitions
 
@@ -11,6 +12,14 @@ from dynasindy.systems.transitions import Transitions
 def _line(n: int, start: float = 0.0) -> Transitions:
     x = (start + torch.arange(n + 1.0, dtype=torch.float64)).unsqueeze(-1)
     return Transitions.from_trajectory(x, torch.zeros(n, 1, dtype=torch.float64), 0.1)
+
+
+def _periods(start, u, samples) -> TensorDict:
+    n = samples.shape[:-2].numel()
+    following = {"samples": samples.flatten(0, -3), "at_stop": torch.zeros(n, 1, dtype=torch.bool)}
+    return TensorDict(
+        {"state": start.reshape(n, -1), "action": u.reshape(n, -1), "next": TensorDict(following, [n])}, [n]
+    )
 
 
 def test_recordings_of_different_rates_are_not_joined():
@@ -24,7 +33,7 @@ def test_batches_of_episodes_are_laid_end_to_end_as_a_loop_would():
     samples = torch.randn(2, 3, 4, 5, generator=rng, dtype=torch.float64)
     start = torch.cat([torch.randn(2, 1, 5, generator=rng, dtype=torch.float64), samples[:, :-1, -1]], 1)
     u = torch.randn(2, 3, 2, generator=rng, dtype=torch.float64)
-    data = Transitions.from_samples(start, u, samples, 0.02)
+    data = Transitions.from_periods(_periods(start, u, samples), 0.02)
     row = 0
     for episode in range(2):
         state = start[episode, 0]
@@ -38,8 +47,8 @@ def test_batches_of_episodes_are_laid_end_to_end_as_a_loop_would():
 
 def test_one_state_that_differs_breaks_a_stretch():
     start = torch.tensor([[0.0, 0.0], [1.0, 9.0], [2.0, 2.0]])
-    samples = torch.tensor([[[1.0, 1.0]], [[2.0, 2.0]], [[3.0, 3.0]]])
-    assert Transitions.from_samples(start, torch.zeros(3, 1), samples, 0.1).segment.tolist() == [0, 1, 1]
+    rows = _periods(start, torch.zeros(3, 1), torch.tensor([[[1.0, 1.0]], [[2.0, 2.0]], [[3.0, 3.0]]]))
+    assert Transitions.from_periods(rows, 0.1).segment.tolist() == [0, 1, 1]
 
 
 def test_rows_kept_of_several_stretches_stay_apart_where_they_were_apart():
