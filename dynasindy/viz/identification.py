@@ -61,8 +61,8 @@ def draw_identification(found: Identified, folder: Path, formats: Sequence[str] 
 @styled
 def training_data(
     time: ArrayLike,
-    x: ArrayLike | None,
-    u: ArrayLike | None = None,
+    x: ArrayLike,
+    u: ArrayLike,
     signature: Signature = SIGNATURE,
     title: str = "Training data",
     segment: ArrayLike | None = None,
@@ -74,28 +74,24 @@ def training_data(
 
     Args:
         time: `(T,)` [s].
-        x: `(T, n_x)` states; without them only the inputs are drawn.
-        u: `(T, n_u)` inputs in [-1, 1], each held to the next sample, NaN where they began anew; without them only the
-            states are drawn.
+        x: `(T, n_x)` states.
+        u: `(T, n_u)` inputs in [-1, 1], each held to the next sample, NaN where they began anew.
         signature: Names and units.
         title: of the figure.
         segment: `(T,)` number of the unbroken stretch of each sample; lines break between them.
     """
-    seconds = array(time)
-    values = np.zeros((len(seconds), 0)) if x is None else array(x)
-    inputs = () if u is None else signature.input_names
+    seconds, values, moving = array(time), array(x), array(u)
     seen = [i for i in range(values.shape[1]) if not np.isnan(values[:, i]).all()]
-    if unseen := [name for i, name in enumerate(signature.state_names[: values.shape[1]]) if i not in seen]:
+    if unseen := [name for i, name in enumerate(signature.state_names) if i not in seen]:
         title = f"{title}; not measured: {', '.join(unseen)}"
-    names = (*(signature.state_names[i] for i in seen), *inputs)
-    units = (*(signature.state_units[i] for i in seen), *("-",) * len(inputs))
+    names = (*(signature.state_names[i] for i in seen), *signature.input_names)
+    units = (*(signature.state_units[i] for i in seen), *("-",) * signature.n_u)
     figure, axes = time_panels(names, units, title)
-    moving = np.zeros((len(seconds), 0)) if u is None else array(u)
-    x, shown, held = (_broken(rows, segment) for rows in (seconds, values, moving))
+    times, shown, held = (_broken(rows, segment) for rows in (seconds, values, moving))
     for axis, i in zip(axes, seen, strict=False):
-        axis.plot(x, shown[:, i], color=BLUE)
+        axis.plot(times, shown[:, i], color=BLUE)
     for i, axis in enumerate(axes[len(seen) : len(names)]):
-        draw_input(axis, x, held, signature, i, color=BLUE)
+        draw_input(axis, times, held, signature, i, color=BLUE)
     restarts = seconds[np.isnan(moving).any(-1)]  # not all, which is true of a row without inputs
     _mark(axes, restarts, color=RED, linestyle="--", linewidth=1.0, label="ended early, began anew")
     _finish(figure, seconds, segment)

@@ -67,7 +67,6 @@ def draw_run(
     names, inputs, figures = list(signature.state_names), list(signature.input_names), dict[str, Figure]()
     found = read_json(folder / "metrics.json") if (folder / "metrics.json").is_file() else {}
     excited = read_table(folder / "data" / "excitation.csv")
-    figures["excitation"] = training_data(excited["time"], None, excited[inputs], signature, "Excitation")
     title = f"Training data of the first model\n{found.get('excitation', '')}".strip()
     figures["training_data"] = training_data(excited["time"], excited[names], excited[inputs], signature, title)
     for when, data in (("first", "the excitation alone"), ("last", "the data before it")):

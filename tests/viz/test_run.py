@@ -42,7 +42,7 @@ def figures(folder: Path, monkeypatch: pytest.MonkeyPatch):
 
 def test_every_figure_whose_data_are_there_is_drawn(folder: Path) -> None:
     drawn = {file.name for file in draw_run(folder, Pendulum().signature)}
-    assert drawn == {"excitation.png", "training_data.png", "step_response.png"}
+    assert drawn == {"training_data.png", "step_response.png"}
     write(folder / "data" / "prediction_first_episode.csv", PREDICTION, "0.1", "0.2", "0.1", "0.2")
     (folder / "progress.csv").write_text(f"{PROGRESS}1,-5,0.1,\n2,-3,0.01,-2\n")
     files = draw_run(folder, Pendulum().signature, formats=("svg",))
