@@ -43,7 +43,6 @@ ANGLES = {
     **dict.fromkeys(("deg", "degs", "degree", "degrees", "\u00ba"), "deg"),
     **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
     **dict.fromkeys(("rev", "revs", "revolution", "revolutions"), "rev"),
-    "grad": "deg",  # in German; others call the hundredth of a right angle gon
     **{unit: unit for unit in ("\u00b0", "mrad", "cdeg", "mdeg", "gon", "turn", "turns")},
 }
 """Units of angles, in small letters, and what stands for them."""
@@ -99,8 +98,6 @@ def _apart(name: str) -> tuple[str, str]:
     """Split a unit off the end of a name that has it without brackets: degrees, radians, or what follows an `in`."""
     for between in APART.finditer(name):
         text = name[between.end() :].rstrip("}>")
-        if text.lower().startswith("grad") and between[0].strip() in ("", "_"):  # a gradient, as of a temperature
-            continue
         unit = _plain_unit(text)
         said = between[0].strip() in ("in", ",") and unit.lower() in UNITS
         if between[0] == "_" and text in ENDINGS:

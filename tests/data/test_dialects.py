@@ -45,7 +45,6 @@ def require_truth(found, states=("angle", "rate"), rows=ROWS - 1):
         ("angle (\u00ba)", "rate (\u00ba/s)"),
         ("angle [deg]", "rate [deg\u00b7s\u207b\u00b9]"),
         ("angle_degrees", "rate_degrees_per_second"),
-        ("angle in Grad", "rate in Grad/s"),
     ],
 )
 def test_degrees_are_read_however_a_heading_says_them(tmp_path, angle, rate):
