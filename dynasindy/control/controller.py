@@ -37,7 +37,7 @@ from torch import Tensor
 
 from dynasindy.agents.networks import MLP
 from dynasindy.control.observer import Belief, Observer
-from dynasindy.envs import Sampled, Sensors, Step, Tracking, TrackingReward, references
+from dynasindy.envs import ControlEnv, Sensors, Step, Tracking, TrackingReward, references
 from dynasindy.safe_io import DamagedFileError, read_json, reading, write_json
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Stops
@@ -76,7 +76,7 @@ class IntegralAction:
     def __init__(
         self,
         policy: Callable[[TensorDictBase], TensorDictBase],
-        env: Sampled,
+        env: ControlEnv | ControlSetup,
         gain: float = 0.7,
         band: float = 0.06,
         limit: float = 0.3,
@@ -116,7 +116,7 @@ class IntegralAction:
         return tensordict.set("action", self.policy(seen)["action"])
 
 
-def acting(policy: Policy, env: Sampled, pushed: bool = False) -> Policy:
+def acting(policy: Policy, env: ControlEnv | ControlSetup, pushed: bool = False) -> Policy:
     """Return a policy as it acts on a plant: within the limits of inputs, and against the push that is estimated.
 
     Args:
@@ -127,7 +127,7 @@ def acting(policy: Policy, env: Sampled, pushed: bool = False) -> Policy:
     return partial(_act, policy, env, pushed) if pushed or env.task.limited else policy
 
 
-def _act(policy: Policy, env: Sampled, pushed: bool, tensordict: TensorDictBase) -> TensorDictBase:
+def _act(policy: Policy, env: ControlEnv | ControlSetup, pushed: bool, tensordict: TensorDictBase) -> TensorDictBase:
     """Write the action, or that for the state without the push and what counteracts it, within the limits."""
     if not pushed:
         return tensordict.set("action", env.task.limit(policy(tensordict)["action"]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from tensordict import TensorDict
@@ -55,9 +55,8 @@ class Place:
         return asdict(self)
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what `state_dict` returned; earlier versions had the cost in a group."""
-        whole = {**state, **state.get("cost", {})}
-        self.number, self.real_steps, self.imagined, self.updates = (whole[each.name] for each in fields(self))
+        """Restore what `state_dict` returned."""
+        vars(self).update(state)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from dynasindy.envs.references import RandomStep, Reference, Step, Wave, target, wave
 from dynasindy.envs.reward import TrackingReward
 from dynasindy.envs.sensors import Channel, Sensors
-from dynasindy.envs.task import Sampled, Task, Tracking
+from dynasindy.envs.task import Task, Tracking
 
 if TYPE_CHECKING:
     from dynasindy.envs.control_env import ControlEnv
@@ -27,7 +27,6 @@ __all__ = [
     "Multisine",
     "RandomStep",
     "Reference",
-    "Sampled",
     "Sensors",
     "Step",
     "Task",

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import torch
 from torch import Tensor
@@ -21,18 +21,6 @@ from dynasindy.sentences import setting
 from dynasindy.systems import Signature
 from dynasindy.systems.base import Ends, sample_states
 from dynasindy.systems.compiler import addresses, c_text, find_library
-
-
-class Sampled(Protocol):
-    """What a policy has to know of where it acts; a `ControlEnv` is one, and so is a controller out of a file."""
-
-    @property
-    def task(self) -> Task:
-        """What is wanted."""
-
-    @property
-    def dt(self) -> float:
-        """Control period [s]."""
 
 
 class Task(ABC):

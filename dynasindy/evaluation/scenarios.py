@@ -22,7 +22,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.agents.replay import require_finite_rollout
 from dynasindy.control.sensing import Sensing
-from dynasindy.envs import ControlEnv, Reference, Sampled, Step, Task, Tracking
+from dynasindy.envs import ControlEnv, Reference, Step, Task, Tracking
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, Summary, steady_seconds, tracking_metrics
@@ -88,15 +88,15 @@ class Scenario:
                 f"windows of scenario '{self.name}' must be (start, end) pairs in order within 0 and {end} s"
             )
 
-    def length(self, place: Sampled) -> float:
+    def length(self, env: ControlEnv) -> float:
         """Return how long the run is where it is flown [s].
 
         Raises:
             ValueError: It is shorter than a control period.
         """
-        seconds = self.seconds or self.lengths * place.task.max_steps * place.dt
-        if round(seconds / place.dt) < 1:
-            raise ValueError(f"scenario.seconds is {seconds} s; give a control period of {place.dt} s or more")
+        seconds = self.seconds or self.lengths * env.task.max_steps * env.dt
+        if round(seconds / env.dt) < 1:
+            raise ValueError(f"scenario.seconds is {seconds} s; give a control period of {env.dt} s or more")
         return seconds
 
 
