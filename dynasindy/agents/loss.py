@@ -100,7 +100,7 @@ class TD3Loss(TorchRLTD3Loss):
         """
         observation = tensordict.get("observation")
         action = self.actor.functional(self.actor_layers, observation)
-        first = [layer.first() for layer in self.critic_layers]
+        first = [Layer(*(tensor.detach()[0] for tensor in layer)) for layer in self.critic_layers]
         value = self.critic.functional(first, observation, action).squeeze(-1)
         return -value.mean(), {"state_action_value_actor": value.detach()}
 

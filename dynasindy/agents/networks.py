@@ -27,10 +27,6 @@ class Layer(NamedTuple):
     weight: Tensor
     bias: Tensor
 
-    def first(self) -> "Layer":
-        """Return the first network of a stack, detached from the graph."""
-        return Layer(self.weight.detach()[0], self.bias.detach()[0])
-
 
 class MLP(nn.Module):
     """Perceptron with LeakyReLU hidden layers.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any, Literal
 
 import gymnasium
@@ -274,14 +274,6 @@ class Foreign(System):
         return gymnasium.wrappers.FlattenObservation(copy) if grouped else copy
 
 
-@dataclass
-class _Copies:
-    """Copies of an environment, and whose episodes they are in."""
-
-    pool: list[gymnasium.Env[Any, Any]] = field(default_factory=list)
-    user: GymnasiumEnv | None = None
-
-
 class GymnasiumEnv(ControlEnv):
     """A Gymnasium environment under a task of ours, batched: one copy of it per row.
 
@@ -325,7 +317,7 @@ class GymnasiumEnv(ControlEnv):
         period = system.period if dt is None else dt
         if period is None:
             raise ValueError(f"{system.id} does not say how long a step is; give env.dt in seconds")
-        self.ends, self.copies = True, _Copies()
+        self.ends, self.copies = True, SimpleNamespace(pool=[], user=None)  # of the environment, and who moves them
         super().__init__(system, task, period, 1, dtype=dtype, seed=seed)
         self.foreign = system
         if task.starts is None:

@@ -463,16 +463,12 @@ def _run(
     report_progress(phase, total, total, "control periods")  # of the last step the environment tells no more
     trajectory: TensorDictBase = torch.cat(parts, -1) if len(parts) > 1 else parts[0]
     require_finite_rollout(trajectory.transpose(0, 1).reshape(-1), f"evaluation in scenario '{scenario.name}'")
-    return trajectory if sensing is None else _with_true_states(trajectory)
-
-
-def _with_true_states(trajectory: TensorDictBase) -> TensorDictBase:
-    """Return a rollout with true states and rewards in the places of the estimated ones, which become `estimate`."""
-    shown: TensorDictBase = trajectory.copy()
-    shown["estimate"], shown["state"] = shown["state"], shown["true_state"]
-    for key in ("state", "reward"):
-        shown["next", key] = shown["next", f"true_{key}"]
-    return shown
+    if sensing is not None:  # true states and rewards stand in the places of the estimated ones
+        trajectory = trajectory.copy()
+        trajectory["estimate"], trajectory["state"] = trajectory["state"], trajectory["true_state"]
+        for key in ("state", "reward"):
+            trajectory["next", key] = trajectory["next", f"true_{key}"]
+    return trajectory
 
 
 def _number(value: Tensor) -> float | None:

@@ -82,10 +82,7 @@ class Regulator:
 
     def __call__(self, observation: Tensor) -> Tensor:
         """Return inputs `(*batch, n_u)` for observations `(*batch, n_o)`."""
-        return self.at(*self.task.seen(observation))
-
-    def at(self, x: Tensor, reference: Tensor) -> Tensor:
-        """Return inputs `(*batch, n_u)` for states `(*batch, n_x)` and references `(*batch, n_r)`."""
+        x, reference = self.task.seen(observation)
         x_e, u_e = self.rest(reference)
         return self.task.limit(u_e - (x - x_e) @ self.gain.mT)
 

@@ -31,16 +31,3 @@ def test_actions_stay_within_the_input_range():
     action = policy(TensorDict({"observation": 1e4 * torch.randn(64, 3)}, [64]))["action"]
     assert action.abs().max() <= 1
     assert action.abs().max() > 0.9
-
-
-def test_the_first_of_a_stack_is_a_detached_view_of_its_numbers():
-    networks = [MLP(4, 1, [8]) for _ in range(2)]
-    with torch.no_grad():
-        for network in networks:
-            for p in network.parameters():
-                p.normal_()
-    stack = networks[0].layers(TensorDict.from_modules(*networks))
-    firsts = [layer.first() for layer in stack]
-    x = torch.randn(5, 4)
-    torch.testing.assert_close(networks[0].functional(firsts, x), networks[0](x))
-    assert not any(part.requires_grad for layer in firsts for part in layer)
