@@ -215,12 +215,10 @@ def _with_signals_apart(raw: pd.DataFrame, findings: list[Finding]) -> tuple[pd.
 
 
 def _lost_code(column: Array) -> float | None:
-    """Return the number that stands for lost samples: far off all others, and a usual code, or of what else moves."""
+    """Return the number that stands for lost samples: a usual code, far off all others."""
     finite = column[np.isfinite(column)]
     for end in (finite.min(), finite.max()) if len(finite) else ():
-        rest = finite[finite != end]
-        known = abs(end) in CODES or abs(end) >= HUGE
-        known |= len(rest) > COUNTED and bool((np.diff(rest) != 0).mean() > 0.5)
+        rest, known = finite[finite != end], abs(end) in CODES or abs(end) >= HUGE
         if known and 2 * len(rest) > len(finite) and np.abs(rest - end).min() > np.ptp(rest):
             return float(end)
     return None

@@ -264,6 +264,12 @@ def test_a_sensor_that_fails_twice_in_a_row_is_missing_twice(tmp_path, lost, cod
     assert code in {each.code for each in found.findings}
 
 
+def test_pulses_of_an_input_that_else_hardly_moves_are_no_codes(tmp_path):
+    command = np.where(np.arange(ROWS) % 40 == 0, 1.0, 0.05 * np.sin(np.arange(ROWS)))
+    found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, ANGLE, RATE, command))
+    assert found.transitions.u[:, 0].numpy() == pytest.approx(command[:-1], abs=1e-6)
+
+
 def test_a_code_for_a_lost_input_is_no_input(tmp_path):
     command = np.where(np.arange(ROWS) % 50 == 30, -999.0, COMMAND)
     found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, ANGLE, RATE, command))
