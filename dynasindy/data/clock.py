@@ -66,14 +66,15 @@ def _even_rows(path: str, t: Array, dt: float | None) -> Array | None:
     steps, rows = np.diff(t), np.arange(len(t))
     low, usual, high = float(steps.min()), float(np.median(steps)), float(steps.max())
     long = steps > 0.5 * (low + high)
+    digit = next((10.0**-k for k in range(7) if np.abs(t - t.round(k)).max() < 1e-3 * 10.0**-k), 0.0)
     if high - low > 0.02 * usual and (np.abs(steps - np.where(long, high, low)) <= 0.1 * (high - low)).all():
         tick = float(steps[long].mean() - steps[~long].mean())
         count, off = divmod(float(steps[~long].mean()) / tick + 0.5, 1)
         period = dt or float(f"{np.polyfit(rows, t - t[0], 1)[0]:.6g}")
-        enough = min(long.sum(), (~long).sum()) >= (3 if count < 2 else 1)  # a few may be lost rows
-        if enough and abs(off - 0.5) < 0.2 and np.ptp(t - period * rows) <= 1.1 * tick:
+        few = min(long.sum(), (~long).sum()) < 3  # which may be lost rows, as may be steps of several last digits
+        sure = count >= 2 or not (few or (count == 1 and 0 < digit < 0.9 * tick))
+        if sure and abs(off - 0.5) < 0.2 and np.ptp(t - period * rows) <= 1.1 * tick:
             return np.asarray(period * rows)
-    digit = next((10.0**-k for k in range(7) if np.abs(t - t.round(k)).max() < 1e-3 * 10.0**-k), 0.0)
     if digit > 0.75 * usual and (steps > usual + 0.5 * digit).mean() > 0.1:  # rows may be lost, or short of a tick
         if dt is None:
             raise LogError("log.coarse_time", file=path, tick=digit)

@@ -169,6 +169,12 @@ def test_a_clock_that_is_truly_uneven_is_believed(tmp_path, places):
     assert fitted(log)["u"] == pytest.approx(5.0, rel=0.01)
 
 
+def test_rows_that_alternate_between_two_distances_are_not_taken_as_even(tmp_path):
+    times = np.cumsum(np.tile([0.011, 0.022], 200))
+    log = LoggedData(written(tmp_path / "log.csv", "time", [f"{t:.3f}" for t in times])).recording()
+    assert "log.coarse_clock" not in [each.code for each in log.findings]
+
+
 def test_a_doubled_row_is_left_out_and_equal_stamps_of_a_coarse_clock_are_not(tmp_path):
     once = logged(tmp_path / "once.csv", even(100), decimals(2), rows=range(800))
     twice = logged(tmp_path / "log.csv", even(100), decimals(2), rows=sorted([*range(800), 200]))
