@@ -87,7 +87,10 @@ def run(
                 raise ValueError(f"{folder} keeps no checkpoint, there is nothing to finish; leave out finish=true")
             if state is None:
                 checkpoints.remove()  # damaged ones, whose numbers would rank before the new
-                _clear(folder)
+                for name in MADE:  # of an earlier run of the same settings: no result outlives its run
+                    (folder / name).unlink(missing_ok=True)
+                for each in (folder, folder / "data"):
+                    remove_leftovers(each)
                 write_text(folder / "config.yaml", config)
                 write_json(folder / "origin.json", dict(origin))
                 recorder.begin()
@@ -140,14 +143,6 @@ def _check_settings(folder: Path, settings: str) -> None:
         raise ValueError(
             f"{folder} holds a run of other settings, such as '{differ.strip()}'; give another folder, or remove it"
         )
-
-
-def _clear(folder: Path) -> None:
-    """Remove what an earlier run of the same settings left, so that no result outlives its run."""
-    for name in MADE:
-        (folder / name).unlink(missing_ok=True)
-    for place in (folder, folder / "data"):
-        remove_leftovers(place)
 
 
 @contextmanager
@@ -337,7 +332,9 @@ class Checkpoints:
     def newest(self) -> State | None:
         """Return the newest state whose file is sound, or None."""
         for path in reversed(self._files()):
-            if (state := _sound_state(path)) is not None:
+            with path.open("rb") as file:  # for an error of the disk nothing is begun anew
+                head, payload = file.readline(200), file.read()
+            if head == _head(payload) and (state := _load_tensors(payload)) is not None:
                 return state
         return None
 
@@ -351,13 +348,6 @@ class Checkpoints:
 
     def _files(self) -> list[Path]:
         return sorted(self.folder.glob("[0-9]*.pt"))
-
-
-def _sound_state(path: Path) -> State | None:
-    """Return the state in a file, or None if it is damaged; for an error of the disk nothing is begun anew."""
-    with path.open("rb") as file:
-        head, payload = file.readline(200), file.read()
-    return _load_tensors(payload) if head == _head(payload) else None
 
 
 def _head(payload: bytes | memoryview) -> bytes:
