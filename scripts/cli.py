@@ -114,9 +114,11 @@ def require_writable(folder: Path) -> None:
 
 
 def program(name: str) -> str:
-    """Return how a command is called here: as its script in a clone, unless it was called otherwise."""
-    installed = not IN_CLONE or Path(sys.argv[0]).name == "dynasindy"
-    return f"dynasindy {name}" if installed else f"python scripts/{name}.py"
+    """Return how a command is called from here: as its script in a clone, unless it was called otherwise."""
+    if not IN_CLONE or Path(sys.argv[0]).name == "dynasindy":
+        return f"dynasindy {name}"
+    script = Path("scripts", f"{name}.py")
+    return f"python {script if script.is_file() else shlex.quote(str(CONF.with_name('scripts') / script.name))}"
 
 
 def purpose(name: str) -> str:

@@ -49,7 +49,7 @@ for name in {names}:
     sys.argv = [f"{scripts}/{{name}}.py", "--help"]
     with contextlib.redirect_stdout(io.StringIO()) as page, contextlib.suppress(SystemExit):
         runpy.run_path(sys.argv[0], run_name="__main__")
-    assert f"python scripts/{{name}}.py" in page.getvalue(), name
+    assert f"python {scripts}/{{name}}.py" in page.getvalue(), name  # which runs from here, too
 print(*sys.modules)
 """
 
