@@ -192,14 +192,11 @@ def _no_roles(
     )
 
 
-def _guess(
-    time: str | None, inputs: Sequence[str], states: Sequence[str], clock_known: bool, counter: str, held: bool
-) -> str:
+def _guess(time: str | None, inputs: Sequence[str], states: Sequence[str], clock_known: bool, counter: str) -> str:
     """Say what columns may be: sentences, then settings to copy."""
     hints = [
         " No column grows as time does: log it, or give <data.dt>, the time between two rows in seconds." * (not time),
         f" If {counter}, of whole numbers, counts rows, give <data.dt>, too." * bool(counter),
-        " No column is held for some samples, as commands are, without which nothing is identified." * (not held),
     ]
     given: dict[str, Any] = {} if not time or (clock_known and time == "time") else {"time": time}
     given |= {"inputs": [*inputs], "states": [*states]}

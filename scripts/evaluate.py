@@ -22,8 +22,8 @@ def main(cfg: Any) -> None:
     from dynasindy.sindy import SindyModel
     from dynasindy.systems.equilibria import states_that_matter
     from dynasindy.viz.animation import animate
-    from dynasindy.viz.controllers import name_by_planning
     from dynasindy.viz.response import draw_evaluation
+    from dynasindy.viz.style import name_by_planning
 
     folder = Path(cfg.run)
     config = load_config(folder, cfg.plugins)

@@ -43,7 +43,7 @@ from dynasindy.progress import say
 from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
 from dynasindy.sentences import command_word, lines
 from dynasindy.sindy import Oracle, SindyModel
-from dynasindy.viz.controllers import controller_name, name_by_planning
+from dynasindy.viz.style import controller_name, name_by_planning
 from dynasindy.workbench import damped, forecast, log_report, model_of, plan, refit_shortage
 
 

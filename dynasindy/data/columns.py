@@ -493,13 +493,12 @@ def _guess_columns(table: Table, time: str | None, inputs: Sequence[str], dt: fl
     t = table.column(time) if time else np.zeros(0)
     aside = {time, *table.of_kind("counter"), *(h for h in columns if time and _keeps_time(table.column(h), t))}
     still = {split_unit(h)[0]: _standing(column) for h, column in columns.items() if h not in aside}
-    names, held = [*still], True
+    names = [*still]
     counter = dt is None and time in growing and not parts_of(time)[1] and is_counter(columns[time])
     if not inputs and names:
         longest = max(names, key=lambda name: still[name])
-        held = still[longest] > HELD
         units = dict(map(split_unit, columns))
-        first = next((n for n in names if _is_actuator(n, units[n])), longest if held else names[-1])
+        first = next((n for n in names if _is_actuator(n, units[n])), longest if still[longest] > HELD else names[-1])
         pair = [name for name in _alike(first, units) if name in names]
         inputs = pair if len(pair) < len(names) else [first]  # one matrix is no pair
     return {
@@ -508,5 +507,4 @@ def _guess_columns(table: Table, time: str | None, inputs: Sequence[str], dt: fl
         "states": [name for name in names if name not in inputs],
         "clock_known": named,  # what is called time may be one in whole seconds
         "counter": time if counter else "",
-        "held": held,
     }

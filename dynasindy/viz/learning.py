@@ -26,8 +26,18 @@ from dynasindy.evaluation.ablation import (
     worst_errors,
 )
 from dynasindy.safe_io import file_name
-from dynasindy.viz.controllers import controller_name, line_styles
-from dynasindy.viz.style import BLACK, GREY, Array, array, legend, panels, save_figures, styled
+from dynasindy.viz.style import (
+    BLACK,
+    GREY,
+    Array,
+    array,
+    controller_name,
+    legend,
+    line_styles,
+    panels,
+    save_figures,
+    styled,
+)
 
 Curves = Mapping[str, ArrayLike]
 """`(n_seeds, n_episodes)` values after each episode, per setting."""

@@ -29,12 +29,11 @@ from dynasindy.sindy.world_model import open_loop
 from dynasindy.systems.transitions import Transitions
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.systems.xi import Xi
-from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.identification import BEYOND, prediction, training_data
 from dynasindy.viz.learning import average_rewards
 from dynasindy.viz.response import tracking
 from dynasindy.viz.run import gate, periods, read_table
-from dynasindy.viz.style import Array, array, save_figures
+from dynasindy.viz.style import Array, array, controller_name, save_figures
 
 WIDTH = 120
 SVG: dict[Any, Any] = {"svg.fonttype": "none", "path.simplify_threshold": 0.3}

@@ -17,7 +17,6 @@ from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.systems import Signature
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.text import format_duration
-from dynasindy.viz.controllers import line_styles
 from dynasindy.viz.identification import training_data
 from dynasindy.viz.style import (
     BLACK,
@@ -31,6 +30,7 @@ from dynasindy.viz.style import (
     draw_input,
     label,
     legend,
+    line_styles,
     panels,
     save_figures,
     styled,

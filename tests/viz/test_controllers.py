@@ -1,7 +1,6 @@
 import pytest
 
-from dynasindy.viz.controllers import CONTROLLERS, controller_name, line_styles, name_by_planning
-from dynasindy.viz.style import BLUE, GREEN, RED
+from dynasindy.viz.style import BLUE, CONTROLLERS, GREEN, RED, controller_name, line_styles, name_by_planning
 
 
 def test_a_controller_looks_the_same_by_its_setting_and_by_its_words_in_every_company():
