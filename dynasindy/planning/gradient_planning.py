@@ -240,7 +240,7 @@ class GradientPlanning(Planner):
         self.pace = pace = replace(suited, **{"patience": patience, **self.given})
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, 0.3 * pace.lr)
-        self.centre = None
+        self.centre, untouched = None, copy.deepcopy(self.network.state_dict())
         if rests is not None and len(rests) and isinstance(self.network, MLP):
             params = Step(rests.targets.tolist()).sample(torch.Size((len(rests),)), self.rng)
             with torch.no_grad():
@@ -277,7 +277,11 @@ class GradientPlanning(Planner):
                 rows.strength = strength.ends(len(rows.x))
                 # A policy of an earlier phase is given up for a better one only.
                 best = self.test() if best > -math.inf or not first else best
-        parts = [begun, self._descend(episodes, best, updates, lr, held)]
+        try:
+            parts = [begun, self._descend(episodes, best, updates, lr, held)]
+        except Diverged:
+            self.network.load_state_dict(untouched)
+            raise
         for k in range(0 if "updates" in self.given else ROUNDS):
             if rests is None or pace.afar or (self.steady_state_error() or 0.0) <= ACCEPTABLE_ERROR:
                 break
