@@ -233,15 +233,6 @@ class GradientPlanning(Planner):
         report_progress("planning")
         if (actor := _network(self.agent.policy)) is not self.network:
             self.network.load_state_dict(actor.state_dict())
-        before = copy.deepcopy(self.network.state_dict())
-        try:
-            return self._phase(first)
-        except Diverged:
-            self.network.load_state_dict(before)
-            raise
-
-    def _phase(self, first: bool) -> Planned:
-        """Choose settings, begin at a policy that holds the plant where there is one, and follow the gradient."""
         rests, was_afar = find_task_equilibria(self.env), self.pace.afar
         suited = choose_plan_settings(self.env, rests, self.finest)
         # Steps of a longer phase stay long for longer, and so do tests that are no better.
