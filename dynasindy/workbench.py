@@ -59,7 +59,6 @@ from dynasindy.identification.recording_diagnostics import (
 from dynasindy.identification.source import Source, rates_of
 from dynasindy.identification.targets import require_radians
 from dynasindy.identification.verdict import (
-    dry_friction,
     inputs_beyond_log,
     linear_better,
     require_controlled,
@@ -75,7 +74,6 @@ from dynasindy.safe_io import checked
 from dynasindy.sentences import lines
 from dynasindy.sindy import Refinement, SindyModel
 from dynasindy.sindy.delay import delay_inputs
-from dynasindy.sindy.library import Feature, Library
 from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.sindy.shooting import STABLE
 from dynasindy.systems import Diverged, System
@@ -87,9 +85,6 @@ FLOWN = 64
 """Targets that are flown to where no scenario is given."""
 MOST_ROWS = 4000
 """Rows of a log, at most, whose pushes models are flown under: ten samples each of the periods of a flight."""
-STATIC, SHARPER, STEPS = 2.0, 10.0, 100
-"""How much larger and sharper than in motion dry friction may be at rest, at most, and steps of a period that show it.
-Static friction is one to two times that of motion (Armstrong-Helouvry, Dupont and Canudas de Wit 1994)."""
 HALVES = 2
 """Stretches of a log that a model is fitted to again, to see what the log leaves open."""
 
@@ -235,12 +230,7 @@ def forecast(
         return replace(own, in_sample=True, no_equilibrium=never)
     log = log.with_states_of(model)
     unseen = "what the plan has not seen"
-    models = _refits(model, log.validation, 1, unseen)
-    models += [_at_rest(fit, controller.dt) for fit in _refits(model, log.validation, HALVES, unseen)]
-    if any(any(dry_friction(each)) for each in models):
-        finer = replace(setup, substeps=max(STEPS, setup.substeps))
-        finest = Controller(controller.policy, finer, controller.observer, controller.integral)
-        env, policy, sensing = closed_loop(finest, model, setup.task, seed)
+    models = [fit for parts in (1, HALVES) for fit in _refits(model, log.validation, parts, unseen)]
     pushes = [_pushes(controller, model, part) for part in (log.training, log.validation)]
     known = [each for each in pushes if each is not None]
     moved = torch.cat(known) if known else None
@@ -346,39 +336,16 @@ def _pushes(controller: Controller, model: SindyModel, data: Transitions) -> Ten
     watched.delay = 0.0
     observer.model, observer.dt, observer.substeps = watched, late.dt, watched.substeps(late.dt, STABLE)
     stride = round(controller.dt / late.dt)
+    if len(late) < stride:
+        return None
     begins = torch.arange(0, len(late) - stride + 1, stride)
     with suppress(Diverged):
         u, u_end = late.inputs_of(torch.arange(len(late)))
         x = observer.smooth(torch.cat([late.x[:1], late.x_next]), u if u_end is None else 0.5 * (u + u_end))
         later = begins.unsqueeze(-1) + torch.arange(stride)
         found = x[begins + stride] - predict_from(watched, late, x[begins], later)[:, -1]
-        return found if len(found) and bool(found.isfinite().all()) else None
+        return found if bool(found.isfinite().all()) else None
     return None
-
-
-def _at_rest(model: SindyModel, dt: float) -> SindyModel:
-    """Return a model with dry friction as it may be at rest, of which a log of motion tells little.
-
-    It may be up to twice as large there as in motion, and holds what a smooth function lets creep.
-    """
-    rows = sorted({k for each in dry_friction(model) for k in each})
-    if not rows:
-        return model
-    steepest = max(f.frequency for k in rows for f in model.library.features[k].factors if f.function == "tanh")
-    steepest *= float(model.coefficients[rows].abs().sum(0).max()) * STATIC
-    sharper = min(max(STEPS * STABLE / (dt * steepest), 1.0), SHARPER)
-    found, features = copy.deepcopy(model), list(model.library.features)
-    for k in rows:
-        sharp = (
-            replace(f, frequency=f.frequency * (sharper if f.function == "tanh" else 1)) for f in features[k].factors
-        )
-        features[k] = Feature(tuple(sharp))
-    found.library, found.coefficients = (
-        Library(model.signature, features, step=model.library.step),
-        model.coefficients.clone(),
-    )
-    found.coefficients[rows] *= STATIC
-    return found
 
 
 def _longest_stretch(data: Transitions) -> Transitions:

@@ -70,11 +70,13 @@ def _even_rows(path: str, t: Array, dt: float | None) -> Array | None:
     if high - low > 0.02 * usual and (np.abs(steps - np.where(long, high, low)) <= 0.1 * (high - low)).all():
         tick = float(steps[long].mean() - steps[~long].mean())
         count, off = divmod(float(steps[~long].mean()) / tick + 0.5, 1)
-        period = dt or float(f"{np.polyfit(rows, t - t[0], 1)[0]:.6g}")
+        slope = float(np.polyfit(rows, t - t[0], 1)[0])  # of which few digits are enough for a short log
+        periods = (dt or float(f"{slope:.{digits}g}") for digits in range(6, 13))
         few = min(long.sum(), (~long).sum()) < 3  # which may be lost rows, as may be steps of several last digits
         sure = count >= 2 or not (few or (count == 1 and 0 < digit < 0.9 * tick))
-        if sure and abs(off - 0.5) < 0.2 and np.ptp(t - period * rows) <= 1.1 * tick:
-            return np.asarray(period * rows)
+        fit = next((period for period in periods if np.ptp(t - period * rows) <= 1.1 * tick), None)
+        if sure and abs(off - 0.5) < 0.2 and fit is not None:
+            return np.asarray(fit * rows)
     if digit > 0.75 * usual and (steps > usual + 0.5 * digit).mean() > 0.1:  # rows may be lost, or short of a tick
         if dt is None:
             raise LogError("log.coarse_time", file=path, tick=digit)

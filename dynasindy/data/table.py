@@ -324,7 +324,9 @@ def _seconds(text: pd.Series) -> Array:
         return _since_1970(pd.to_timedelta(whole, errors="coerce"))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a form that pandas has to find for each row
-        dates = _since_1970(pd.to_datetime(text, dayfirst=bool(re.match(r"\d+\.", first)), utc=True, errors="coerce"))
+        # Read the wrong way round, some dates of a log over midnight are none, or months apart.
+        both = [_since_1970(pd.to_datetime(text, dayfirst=day, utc=True, errors="coerce")) for day in (True, False)]
+        dates = min(both, key=lambda each: (np.isnan(each).sum(), np.nanmax(np.abs(np.diff(each)), initial=0.0)))
     return np.mod(dates, DAY) if re.fullmatch(r"[\d:.]+ ?[ap]m", first, re.IGNORECASE) else dates
 
 

@@ -58,8 +58,8 @@ class ControlEnv(EnvBase):
     left_beyond = math.inf
     """Ranges of a state at whose end an episode is over and stays; a model is asked about where it runs away."""
     pushes: Tensor | None = None
-    """Changes of the states by the end of each control period that the system does not explain, `(T, n_x)`. They come
-    in turn and begin anew, in each row of a batch at another place."""
+    """Changes of the states by the end of each control period that the system does not explain, `(T, n_x)`. They
+    repeat, and each row of a batch begins at another one."""
 
     @checked
     def __init__(

@@ -88,12 +88,12 @@ class Forecast:
                     flight = judge_tracking(result, states_that_matter(model, result.columns, start), fly)
                 if flight is not None and pushes is not None:
                     # Whether states come to rest, flights without pushes tell.
+                    calm, flight = flight, None
                     env.pushes = pushes if k == 0 else pushes * _growth(pushes)
                     result = fly(f"flights on model {k + 1} of {len(models)}, pushed as in the log")
-                    pushed = judge_tracking(result, torch.zeros(model.signature.n_x, dtype=torch.bool))
-                    flight = (
-                        None if bool(result.lost.any()) else replace(flight, share=pushed.share, worst=pushed.worst)
-                    )
+                    if not bool(result.lost.any()):
+                        pushed = judge_tracking(result, torch.zeros(model.signature.n_x, dtype=torch.bool))
+                        flight = replace(calm, share=pushed.share, worst=pushed.worst)
             flights.append(flight)
             shown = shown if shown or flight is None else result
         return cls(tuple(flights), shown, within=within, seconds=scenario.length(plan))

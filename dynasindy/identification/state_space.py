@@ -108,8 +108,8 @@ def state_space_candidates(model: SindyModel, data: Transitions) -> Iterator[lis
 def chain_candidates(of: SindyModel, data: Transitions, state: str) -> Iterator[list[SindyModel]]:
     """Yield models that differ from another one in a measured state, which leads a chain of hidden states.
 
-    The chain is driven by the inputs and by the other states, whose equations stay, whatever their functions are: of a
-    ball that a late camera sees on a hoop with friction.
+    The chain is driven by the inputs and by the other states. Their equations stay, whatever functions they have, but
+    for those that read a rate that is no state any more.
 
     Args:
         of: a fitted model.

@@ -425,7 +425,7 @@ class GradientPlanning(Planner):
 
 def _optimizer(network: nn.Module, lr: float, centre: Tensor | None) -> torch.optim.Adam:
     """Return a fresh optimiser of the policy, whose steps are those of one that reads observations less a centre."""
-    # The weight of a temperature of 114 degrees that moves by 3 would act as one more bias, at steps 40 times as long.
+    # The weight of a state whose mean is large beside its motion would act as one more bias, at far longer steps.
     optimizer = torch.optim.Adam(network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
     if centre is None:
         return optimizer

@@ -141,6 +141,13 @@ def test_an_even_log_in_coarse_stamps_tells_its_rate_and_its_equations(tmp_path,
     assert fitted(log) == pytest.approx({"a": -7.0, "w": -0.6, "u": 5.0}, rel=0.01)
 
 
+@pytest.mark.parametrize(("hertz", "rows"), [(21, 4000), (60, 50_000)])
+def test_a_long_log_in_ms_tells_its_rate_to_more_digits_than_a_short_one(tmp_path, hertz, rows):
+    stamps = [f"{round(1000 * t)}" for t in even(hertz, 0.0, rows)]
+    log = LoggedData(written(tmp_path / "log.csv", "t_ms", stamps)).recording()
+    assert log.transitions.dt * rows == pytest.approx(rows / hertz, abs=0.002)
+
+
 @pytest.mark.parametrize("lost", [0.005, 0.2])
 def test_lost_rows_of_a_coarse_clock_need_the_sampling_time_and_are_gaps_then(tmp_path, lost):
     times, stamp, hertz = even(80, rows=1000), decimals(2), 80

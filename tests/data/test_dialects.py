@@ -74,6 +74,14 @@ def test_dates_and_times_of_day_tell_the_time_between_rows(tmp_path, form):
     )
 
 
+@pytest.mark.parametrize("day", [3, 12])
+def test_a_day_over_midnight_is_told_from_a_month(tmp_path, day):
+    stamps = [
+        (pd.Timestamp(2025, 4, day, 23, 59, 58) + (time - TIMES[0])).strftime("%d/%m/%Y %H:%M:%S.%f") for time in TIMES
+    ]
+    require_truth(recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND)))
+
+
 def test_digits_of_a_date_are_no_seconds(tmp_path):
     stamps = [time.strftime("%Y%m%d%H%M%S.%f") for time in TIMES]
     with pytest.raises(LogError) as refused:

@@ -139,6 +139,26 @@ def test_a_plant_is_as_far_off_as_pushes_hold_it():
     assert first < 0.1 * off and 1.3 * first < second < 2 * first
 
 
+class Falling(Car):
+    """A speed v' = u - v that is no number beyond 1."""
+
+    def forward(self, x, u):
+        return super().forward(x, u) + 0 * torch.sqrt(1 - x[..., 1:])
+
+
+def test_a_model_that_only_pushes_make_diverge_promises_nothing():
+    car = Falling()
+    task = Tracking(car.signature, Step([[0.5]]), ("Omega",), (None,), TrackingReward((1.0,)), max_steps=100)
+    env = ControlEnv(car, task, 0.1, dtype=torch.float64)
+
+    def constant(tensordict):
+        return tensordict.set("action", torch.full((*tensordict.batch_size, 1), 0.5))
+
+    still, push = Scenario("step", episodes=1, seconds=10.0), torch.tensor([[0.0, 2.0]], dtype=torch.float64)
+    assert Forecast.of([car], env, constant, still).controlled
+    assert not Forecast.of([car], env, constant, still, pushes=push).controlled
+
+
 def flown(delay, inputs):
     """Return the pendulum's states under inputs that are delayed by hand: 12 u - 9.81 sin(theta) - 0.5 theta'."""
     whole, part = int(delay / 0.05 + 1e-9), delay / 0.05 - int(delay / 0.05 + 1e-9)
