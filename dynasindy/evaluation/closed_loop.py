@@ -49,6 +49,12 @@ FULL = 0.99
 """Part of its way from the middle to a limit at which an input counts as saturated."""
 
 
+def at_limit(u: Tensor, limits: Tensor) -> Tensor:
+    """Return which inputs `(*batch, n_u)` are at one of their limits `(2, n_u)`, bool."""
+    low, high = limits.to(u)
+    return (2 * u - low - high).abs() > FULL * (high - low)
+
+
 def _longest_step(model: SindyModel, setup: ControlSetup) -> float:
     """Return the longest Runge-Kutta step by which a model is moved well [s]: shorter ones end where it does."""
     generator, task, substeps = torch.Generator().manual_seed(0), setup.task, max(1, setup.substeps)
@@ -110,8 +116,7 @@ class LoopSimulation:
     @property
     def saturated(self) -> Tensor:
         """Share of the control periods in which each input is at its limit, `(rows, n_u)`."""
-        low, high = self.limits.to(self.u)
-        return ((2 * self.u - low - high).abs() > FULL * (high - low)).double().mean(1)
+        return at_limit(self.u, self.limits).double().mean(1)
 
     def away(self, reach: Tensor) -> Tensor:
         """Return which flights have run away: they end out of reach of their target, or in no number, bool `(rows,)`.

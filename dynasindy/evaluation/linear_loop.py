@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eig, matrix_balance, solve_discrete_lyapunov
 from torch import Tensor
 
-from dynasindy.evaluation.closed_loop import PERIODS, ClosedLoop
+from dynasindy.evaluation.closed_loop import PERIODS, ClosedLoop, at_limit
 from dynasindy.planning.margins import MOVEMENT
 from dynasindy.progress import report_progress
 from dynasindy.systems.equilibria import find_equilibria
@@ -175,7 +175,9 @@ def _linearise(
 
 
 def find_rest(loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, seconds: float = 20.0) -> RestingLoop:
-    """Find where loops rest, by Newton's method; where it fails, or the loop is not stable, by letting it run first.
+    """Find where loops rest, by Newton's method.
+
+    Where it fails, the loop is not stable or an input is at its end, they run first: other rests may be nearer.
 
     Args:
         loop: The loop, of as many rows as `r` has, or of one plant.
@@ -189,7 +191,8 @@ def find_rest(loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, sec
     found, still = _newton(loop, z, covariance, r)
     linear, _, u = _linearise(loop, found, covariance, r)
     stable = linear.finite().stable
-    lost = (~(still & stable)).nonzero().flatten()  # with dry friction there are rests that no flight reaches
+    # With dry friction, and with an input at its end, there are rests that no flight reaches.
+    lost = (~(still & stable) | at_limit(u, loop.task.input_limits).any(-1)).nonzero().flatten()
     ran = torch.zeros(len(r), loop.task.n_r, dtype=torch.float64)
     if len(lost):
         flown, moved, spread = loop.rows(lost).run(z[lost], covariance[lost], r[lost], seconds, RESTS)

@@ -150,7 +150,7 @@ def test_a_run_with_a_class_of_the_user_s_own_goes_on_by_the_command_that_is_pri
     assert command("train", *words, cwd=tmp_path / "whole").code == 0
     done = command("train", *words, cwd=tmp_path / "parts")
     assert done.code == 130, done
-    (told,) = re.findall(r"(python scripts/train\.py .*?) \(", done.err)
+    (told,) = re.findall(r"(python \S*scripts/train\.py .*?) \(", done.err)
     _, _, *again = shlex.split(told)
     assert "plugins=[fickle]" in again
     refused = command("train", *(word for word in again if "plugins" not in word), cwd=tmp_path / "parts")

@@ -47,7 +47,7 @@ def coefficients(data: Transitions) -> list[float]:
 def test_inputs_come_later_by_whole_samples_and_fractions_of_them():
     u = torch.tensor([[1.0, 10.0], [2.0, 20.0], [4.0, 40.0], [8.0, 80.0], [16.0, 160.0]])
     one = Transitions.from_trajectory(torch.arange(6.0)[:, None], u, 0.5)
-    data = Transitions.cat([one, one.last(2)])
+    data = Transitions.cat([one, one.select(torch.arange(5) >= 3)])
     later = delay_inputs(data, 1.0)
     # Two samples later; before the first sample of a segment its first input held.
     assert later.u[:, 0].tolist() == [1, 1, 1, 2, 4, 8, 8]
