@@ -40,7 +40,7 @@ ALONE = 4
 ENDINGS = {"dps": "deg/s", "rpm": "rpm", "pct": "%", "V": "V"}
 """Units as the end of a name has them behind a `_`, `supply_V`, beside those of angles."""
 ANGLES = {
-    **dict.fromkeys(("deg", "degs", "degree", "degrees", "\u00ba"), "deg"),
+    **dict.fromkeys(("deg", "grad", "degs", "degree", "degrees", "\u00ba"), "deg"),
     **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
     **dict.fromkeys(("rev", "revs", "revolution", "revolutions"), "rev"),
     **{unit: unit for unit in ("\u00b0", "mrad", "cdeg", "mdeg", "gon", "turn", "turns")},
