@@ -624,15 +624,15 @@ class _Search:
     def _with_hidden_states(self) -> None:
         """Try hidden states behind each state that a simple model predicts better, then linear equations of all."""
         of = self.best
-        ratios = torch.stack([fold.ratios(errors) for fold, errors in zip(self.folds, of.errors, strict=False)])
-        behind = dict(zip(of.source.signature.state_names, ratios.mean((0, 1)).tolist(), strict=False))
-        linear_inputs = of.source.training.u_end is not None
-        source = self.source.with_linear_inputs() if linear_inputs else self.source
-        for state in sorted(source.signature.state_names, key=lambda name: -behind[name]):
-            if behind[state] > 0 and source.signature.n_x > 1:  # of one alone it would be a linear model
-                parts = [of.source.training.select(fold.fit_rows()) for fold in self.folds]
-                begun = (chain_candidates(*each, state) for each in zip(of.models, parts, strict=True))
-                self._ever_more_states(f"{of.what}, {state} with", begun, source)
+        pairs = zip(self.folds, of.errors, strict=False)
+        ratios = torch.stack([fold.ratios(errors).nanmean(0) for fold, errors in pairs]).nanmean(0).nan_to_num()
+        behind = dict(zip(of.source.signature.state_names, ratios.tolist(), strict=False))
+        measured = self.source if of.source.training.u_end is None else self.source.with_linear_inputs()
+        early = [of.source.training.select(fold.fit_rows()) for fold in self.folds]
+        for state in sorted(measured.signature.state_names, key=lambda name: -behind[name]):
+            if behind[state] > 0 and measured.signature.n_x > 1:  # of one alone it would be a linear model
+                chains = (chain_candidates(*each, state) for each in zip(of.models, early, strict=True))
+                self._ever_more_states(f"{of.what}, {state} with", chains, measured)
         for source, moving in ((self.source, ""), (self.source.with_linear_inputs(), ", inputs that move evenly")):
             if self.best.score > 0:
                 parts = [source.training.select(fold.fit_rows()) for fold in self.folds]
