@@ -1,6 +1,7 @@
 """A plan from a log that is stopped keeps its equations once it has them, and nothing before."""
 
 import shlex
+from pathlib import Path
 
 import forked
 import pytest
@@ -47,7 +48,7 @@ def test_a_plan_from_a_log_that_is_stopped_keeps_its_equations_and_goes_on_witho
     again = line.partition(": ")[2]
     assert {"config.yaml", "model.json", "origin.json"} == {file.name for file in (tmp_path / "run").iterdir()}
     python, script, *words = shlex.split(again)
-    assert (python, script) == ("python", "scripts/train.py")
+    assert (python, Path(script).parts[-2:]) == ("python", ("scripts", "train.py"))
     assert "plant.known={theta: rate}" in words and words[-1] == "model=run/model.json"
     words += ["planning.updates=1", "evaluation.must_control=false"]
     done = forked.call("train", *words, cwd=tmp_path)
