@@ -356,7 +356,7 @@ class GradientPlanning(Planner):
     def _descend(self, episodes: Sequence[_Episodes], best: float, updates: int, lr: float, held: bool) -> Imitation:
         """Follow the gradient, leave the best policy that was tested, and return its score and what it cost."""
         # `best` is the score of the policy as it is, -inf if it was not tested; `held` says that it holds the plant.
-        optimizer, rate = _optimizer(self.network, lr, self.centre), lr
+        optimizer, rate = _optimizer(self.network, lr), lr
         best_weights, failures, done, made = copy.deepcopy(self.network.state_dict()), 0, 0, 0
         least = self._lack()
         for done in range(1, updates + 1):
@@ -364,7 +364,7 @@ class GradientPlanning(Planner):
             # Ten steps of warm-up, then half a cosine down to 1 %.
             fall = 0.01 + 0.99 * (0.5 * (1 + math.cos(math.pi * (done - 1) / updates)))
             optimizer.param_groups[0]["lr"] = rate * (min(1.0, done / 10) * fall)
-            if done % SELECT_EVERY == 1:
+            if done > 1 and done % SELECT_EVERY == 1:
                 self._lack()
             made += self._update(episodes, optimizer)
             if done % self.check_every == 0 or done == updates:
@@ -379,7 +379,7 @@ class GradientPlanning(Planner):
                     # Steps so long that episodes are no longer held: go on from the best policy in shorter ones.
                     rate, failures = SHORTER * rate, 0
                     self.network.load_state_dict(best_weights)
-                    optimizer = _optimizer(self.network, rate, self.centre)
+                    optimizer = _optimizer(self.network, rate)
                 if failures >= self.pace.patience or not made:
                     break
         finite = all(bool(weight.isfinite().all()) for weight in self.network.parameters())
@@ -419,32 +419,28 @@ class GradientPlanning(Planner):
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), LARGEST_GRADIENT * len(episodes))
         finite = bool(norm.isfinite())
         if finite:
-            optimizer.step()
+            self._step(optimizer)
         return finite and alive
 
-
-def _optimizer(network: nn.Module, lr: float, centre: Tensor | None) -> torch.optim.Adam:
-    """Return a fresh optimiser of the policy, whose steps are those of one that reads observations less a centre."""
-    # The weight of a state whose mean is large beside its motion would act as one more bias, at far longer steps.
-    optimizer = torch.optim.Adam(network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
-    if centre is None:
-        return optimizer
-    assert isinstance(network, MLP)
-    weight, bias = network.layers()[0]
-
     @torch.no_grad()
-    def _subtract_centre(*_: object) -> None:
+    def _step(self, optimizer: torch.optim.Adam) -> None:
+        """Take the step of a policy that reads observations less the centre."""
+        # The weight of a state whose mean is large beside its motion would act as one more bias, at far longer steps.
+        if self.centre is None:
+            optimizer.step()
+            return
+        assert isinstance(self.network, MLP)
+        weight, bias = self.network.layers()[0]
         if weight.grad is not None and bias.grad is not None:
-            weight.grad.addr_(bias.grad, centre, alpha=-1)
-        bias.add_(weight @ centre)
+            weight.grad.addr_(bias.grad, self.centre, alpha=-1)
+        bias.add_(weight @ self.centre)
+        optimizer.step()
+        bias.sub_(weight @ self.centre)
 
-    @torch.no_grad()
-    def _add_centre(*_: object) -> None:
-        bias.sub_(weight @ centre)
 
-    optimizer.register_step_pre_hook(_subtract_centre)
-    optimizer.register_step_post_hook(_add_centre)
-    return optimizer
+def _optimizer(network: nn.Module, lr: float) -> torch.optim.Adam:
+    """Return a fresh optimiser of the policy."""
+    return torch.optim.Adam(network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
 
 
 def _network(policy: nn.Module) -> nn.Module:
