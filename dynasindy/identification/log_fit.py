@@ -893,7 +893,7 @@ def _mean_rates(model: SindyModel, data: Transitions) -> Rows:
 def _with_library(model: SindyModel, library: Library, free: Tensor) -> SindyModel:
     """Return a model with other functions, which may stand where `free` is true, and the coefficients of the first."""
     other = SindyModel(model.signature, library, model.regression, model.refinement, machine_code=model.machine_code)
-    other.constraints = Constraints(free, _moved_to(library, model, model.constraints.offset))
+    other.constraints = Constraints(free, library.aligned(model.library, model.constraints.offset))
     return _with_coefficients(other, model)
 
 
@@ -902,19 +902,9 @@ def _with_coefficients(model: SindyModel, of: SindyModel) -> SindyModel:
     other, numbers = copy.deepcopy(model), {_unfitted(shape): shape.frequency for shape in of.library.shapes}
     shapes = other.library.shapes
     other.library = other.library.with_shapes([numbers.get(_unfitted(each), each.frequency) for each in shapes])
-    other.set_coefficients(_moved_to(other.library, of, of.coefficients))
+    other.set_coefficients(other.library.aligned(of.library, of.coefficients))
     other.delay = of.delay
     return other
-
-
-def _moved_to(library: Library, model: SindyModel, values: Tensor) -> Tensor:
-    """Return values of a model's functions, `(n_features, n_x)`, as those of another library; 0 of its other ones."""
-    places = {frozenset(map(_unfitted, feature.factors)): k for k, feature in enumerate(library.features)}
-    found = torch.zeros(len(library), library.signature.n_x, dtype=torch.float64)
-    for feature, row in zip(model.library.features, values, strict=True):
-        if (place := places.get(frozenset(map(_unfitted, feature.factors)))) is not None:
-            found[place, : len(row)] = row
-    return found
 
 
 def _unfitted(factor: Factor) -> Factor:

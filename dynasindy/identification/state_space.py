@@ -142,20 +142,16 @@ def _with_chain(of: SindyModel, chain: SindyModel, rate: int | None) -> SindyMod
     variables = {*signature.state_names, *signature.input_names}
     features = {each.key: each for each in (*of.library.features, *chain.library.features)}
     library = Library(signature, [each for each in features.values() if each.variables <= variables])
-    free, offset, initial = (torch.zeros(len(library), signature.n_x, dtype=torch.float64) for _ in range(3))
-    places = {each.key: k for k, each in enumerate(library.features)}
-    for model, values in ((of, of.coefficients), (chain, chain.initial)):
-        for i, name in enumerate(model.signature.state_names):
-            if name not in signature.state_names or (model is of and name in new.state_names):
-                continue
-            column = signature.state_index(name)
-            for k, feature in enumerate(model.library.features):
-                if (place := places.get(feature.key)) is not None:
-                    free[place, column] = model.constraints.free[k, i]
-                    offset[place, column] = model.constraints.offset[k, i]
-                    initial[place, column] = 0.0 if values is None else values[k, i]
+    led = torch.tensor([name in new.state_names for name in signature.state_names])
+
+    def _both(others: Tensor, own: Tensor) -> Tensor:
+        return torch.where(led, library.aligned(chain.library, own), library.aligned(of.library, others))
+
+    assert chain.initial is not None
     found = SindyModel(signature, library, of.regression, of.refinement, machine_code=of.machine_code)
-    found.constraints, found.initial = Constraints(free.bool(), offset), initial
+    free = _both(of.constraints.free, chain.constraints.free)
+    found.constraints = Constraints(free, _both(of.constraints.offset, chain.constraints.offset))
+    found.initial = _both(of.coefficients, chain.initial)
     found.initial_delay = of.delay
     return found
 

@@ -355,6 +355,24 @@ class Library:
         """Keep the features at the given positions."""
         return Library(self.signature, [self.features[i] for i in indices], step=self.step)
 
+    def aligned(self, library: Library, values: Tensor) -> Tensor:
+        """Return values of another library's functions, `(n, n_x)`, at the places of those of this one; 0 of others.
+
+        Functions are the same whatever the numbers inside them were fitted to, states where they have one name.
+        """
+
+        def _key(feature: Feature) -> frozenset[Factor]:
+            return frozenset(replace(f, frequency=f.fitted) if f.fitted else f for f in feature.factors)
+
+        places, names = {_key(each): k for k, each in enumerate(self.features)}, self.signature.state_names
+        pairs = [(i, names.index(name)) for i, name in enumerate(library.signature.state_names) if name in names]
+        theirs, mine = map(list, zip(*pairs))
+        found = values.new_zeros(len(self), len(names))
+        for feature, row in zip(library.features, values, strict=True):
+            if (place := places.get(_key(feature))) is not None:
+                found[place, mine] = row[theirs]
+        return found
+
     def index(self, name: str) -> int:
         """Find a feature by its readable name.
 
