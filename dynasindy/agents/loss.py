@@ -20,7 +20,7 @@ from torch.optim import Adam
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss
 from torchrl.objectives import ValueEstimators
 
-from dynasindy.agents.networks import Layer
+from dynasindy.agents.networks import LINE, Layer, NetworkPointers, Pointers, line_of, network_pointers, pointers_to
 
 
 class TD3Loss(TorchRLTD3Loss):
@@ -168,16 +168,6 @@ class GradientSteps:
         optimizer.step()
 
 
-LINE = 64
-"""Bytes at whose multiples the room for a batch begins, as the widest numbers of a processor do."""
-Pointers = ctypes.POINTER(ctypes.c_void_p)
-
-
-def line_of(room: Tensor) -> ctypes.c_void_p:
-    """Return where the first line of a processor's cache begins in some room."""
-    return ctypes.c_void_p(-(-room.data_ptr() // LINE) * LINE)
-
-
 class MachineSteps(GradientSteps):
     """Steps of Adam down the two losses of TD3, as machine code; tensors are read where they lay when it was made."""
 
@@ -252,23 +242,12 @@ class MachineSteps(GradientSteps):
         return line_of(self._room)
 
 
-class _NetworkPointers(ctypes.Structure):
-    """A perceptron as `c/perceptron.c` reads it."""
-
-    _fields_ = (
-        ("depth", ctypes.c_int),
-        ("widths", ctypes.POINTER(ctypes.c_int)),
-        ("weight", Pointers),
-        ("bias", Pointers),
-    )
-
-
 class _Agent(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_int) for name in ("n_obs", "n_u", "critics")),
         *((name, ctypes.c_float) for name in ("gamma", "sigma", "clip")),
-        *((name, _NetworkPointers) for name in ("actor", "critic", "target_actor", "target_critic")),
-        *((name, _NetworkPointers) for name in ("actor_gradient", "critic_gradient")),
+        *((name, NetworkPointers) for name in ("actor", "critic", "target_actor", "target_critic")),
+        *((name, NetworkPointers) for name in ("actor_gradient", "critic_gradient")),
     )
 
 
@@ -288,13 +267,6 @@ class _Weights(ctypes.Structure):
     )
 
 
-def network_pointers(layers: Sequence[Layer]) -> _NetworkPointers:
-    """Return where the tensors of layers lie; they must stay there, and not be freed, as long as it is used."""
-    widths = [layers[0].weight.shape[-1], *(layer.bias.shape[-1] for layer in layers)]
-    weights, biases = zip(*((layer.weight, layer.bias) for layer in layers))
-    return _NetworkPointers(len(layers), (ctypes.c_int * len(widths))(*widths), _pointers(weights), _pointers(biases))
-
-
 def _weights(optimizer: Adam, layers: Sequence[Layer], gradients: Sequence[Layer]) -> _Weights:
     """Return what a step of Adam reads and writes; what it has not made yet is made as it would."""
     flat, slopes = (list(chain.from_iterable(each)) for each in (layers, gradients))
@@ -306,9 +278,4 @@ def _weights(optimizer: Adam, layers: Sequence[Layer], gradients: Sequence[Layer
             state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(tensor), torch.zeros_like(tensor)
     moments = ([state[name] for state in states] for name in ("exp_avg", "exp_avg_sq", "step"))
     sizes = (ctypes.c_long * len(flat))(*(tensor.numel() for tensor in flat))
-    return _Weights(len(flat), sizes, *map(_pointers, (flat, slopes, *moments)))
-
-
-def _pointers(tensors: Sequence[Tensor]) -> ctypes._Pointer[ctypes.c_void_p]:
-    addresses = (ctypes.c_void_p * len(tensors))(*(tensor.data_ptr() for tensor in tensors))
-    return ctypes.cast(addresses, Pointers)
+    return _Weights(len(flat), sizes, *map(pointers_to, (flat, slopes, *moments)))

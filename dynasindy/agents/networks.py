@@ -5,6 +5,9 @@ TorchRL's loss modules keep online and target parameters apart from the network,
 a leading dimension. `MLP.functional` evaluates such a set on plain tensors: one batched product per layer.
 """
 
+from __future__ import annotations
+
+import ctypes
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple, cast
@@ -101,3 +104,39 @@ def _linear(x: Tensor, layer: Layer) -> Tensor:
     if layer.weight.dim() == 2:
         return F.linear(x, layer.weight, layer.bias)
     return torch.baddbmm(layer.bias.unsqueeze(1), x, layer.weight.mT)
+
+
+LINE = 64
+"""Bytes at whose multiples the room for a batch begins, as the widest numbers of a processor do."""
+Pointers = ctypes.POINTER(ctypes.c_void_p)
+
+
+def line_of(room: Tensor) -> ctypes.c_void_p:
+    """Return where the first line of a processor's cache begins in some room."""
+    return ctypes.c_void_p(-(-room.data_ptr() // LINE) * LINE)
+
+
+class NetworkPointers(ctypes.Structure):
+    """A perceptron as `c/perceptron.c` reads it."""
+
+    _fields_ = (
+        ("depth", ctypes.c_int),
+        ("widths", ctypes.POINTER(ctypes.c_int)),
+        ("weight", Pointers),
+        ("bias", Pointers),
+    )
+
+
+def network_pointers(layers: Sequence[Layer]) -> NetworkPointers:
+    """Return where the tensors of layers lie; they must stay there, and not be freed, as long as it is used."""
+    widths = [layers[0].weight.shape[-1], *(layer.bias.shape[-1] for layer in layers)]
+    weights, biases = zip(*((layer.weight, layer.bias) for layer in layers))
+    return NetworkPointers(
+        len(layers), (ctypes.c_int * len(widths))(*widths), pointers_to(weights), pointers_to(biases)
+    )
+
+
+def pointers_to(tensors: Sequence[Tensor]) -> ctypes._Pointer[ctypes.c_void_p]:
+    """Return where tensors lie, one address each."""
+    addresses = (ctypes.c_void_p * len(tensors))(*(tensor.data_ptr() for tensor in tensors))
+    return ctypes.cast(addresses, Pointers)

@@ -31,8 +31,7 @@ from functools import cache
 import torch
 from torch import Tensor
 
-from dynasindy.agents.loss import LINE, line_of, network_pointers
-from dynasindy.agents.networks import MLP, Layer
+from dynasindy.agents.networks import LINE, MLP, Layer, line_of, network_pointers
 from dynasindy.envs import ControlEnv, Task, Tracking
 from dynasindy.planning.regulator import Regulator
 from dynasindy.systems import integrate
