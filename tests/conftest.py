@@ -52,6 +52,14 @@ if (found := shutil.which(os.environ.get("CC") or "cc")) and "CC_KEPT" not in os
     os.environ |= {"CC_OF_TESTS": found, "CC_KEPT": kept, "CC": str(Path(__file__).parent / "warm" / "cc")}
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(fixturedef: Any) -> Any:
+    """Begin what tests share, too, from one global torch random state, whichever test asks for it first."""
+    if fixturedef.scope != "function":
+        torch.manual_seed(0)
+    return (yield)
+
+
 @pytest.fixture(autouse=True)
 def _no_global_state() -> None:
     """Give every test the same global torch random state, so that the order of the tests is irrelevant."""
