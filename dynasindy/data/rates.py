@@ -53,7 +53,7 @@ def check_rates(data: Transitions, signature: Signature, known: Mapping[str, str
 
     @cache
     def compare(state: str, rate: str) -> tuple[float, float]:
-        return _compare(data, names.index(state), names.index(rate))
+        return compare_rate(data, names.index(state), names.index(rate))
 
     for state, rate in known.items():
         (_, correlation), (factor, reverse) = compare(state, rate), compare(rate, state)
@@ -115,7 +115,7 @@ def require_consistent_rates(
     return findings
 
 
-def _compare(data: Transitions, state: int, rate: int) -> tuple[float, float]:
+def compare_rate(data: Transitions, state: int, rate: int) -> tuple[float, float]:
     """Return the slope of a state over the integral of a rate, and their correlation, in windows that fit best."""
     # Noise counts the less the longer a window is; some 5000 of each length are looked at.
     steps = _increments(data, rate)

@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
 from dynasindy.data.columns import Column, as_map, find_clock, infer
-from dynasindy.data.headings import NAME, PLAIN_RATES, find_names, in_radians, is_rate_of, named_by, split_unit
-from dynasindy.data.rates import require_consistent_rates
+from dynasindy.data.headings import NAME, find_names, in_radians, is_rate_of, named_by, split_unit
+from dynasindy.data.rates import ALIKE, RPM, compare_rate, require_consistent_rates
 from dynasindy.data.table import Table, correct_map
 from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.sentences import lines as lines_of
@@ -183,6 +183,7 @@ class LogReader:
         for name in (both := [*states, *inputs]):
             if not NAME.fullmatch(name) or both.count(name) > 1:  # as a function or number in an equation, or twice
                 raise LogError("log.name", file=str(self), name=name)
+        given_units = {name: column.unit for name, column in states.items()}
         names = [c.name for c in (*states.values(), *inputs.values()) if c.name]
         if double := [heading for heading in names if names.count(heading) > 1]:
             taken = [name for name, c in {**states, **inputs}.items() if c.name == double[0]]
@@ -194,7 +195,6 @@ class LogReader:
         parts = [self._part(path, (time, states, inputs), plant, findings) for path in self.paths]
         _, states, inputs, *_ = parts[0]
         dt = _one_period(parts, self.dt)
-        findings += _conversions(states)
         u = np.concatenate([part.u for part in parts])
         ranges = _actuator_ranges(str(self), u, inputs, plant is None, findings)
         rest, unit = np.array([(each.rest, each.unit) for each in ranges]).T
@@ -211,6 +211,11 @@ class LogReader:
             pieces.append(Transitions(states_[:-1], inputs_[:-1], states_[1:], dt, labels).select(whole))
             findings += self._of_file(part.path, said)
         data = pieces[0] if len(pieces) == 1 else Transitions.cat(pieces)
+        for k, name in enumerate(states):
+            if given_units[name] == "-" and _turns_angle(data, k, [*states.values()]):
+                data.x[:, k], data.x_next[:, k], sizes[k] = RPM * data.x[:, k], RPM * data.x_next[:, k], RPM * sizes[k]
+                states[name] = replace(states[name], unit="rad/s", scale=RPM * states[name].scale)
+        findings += _conversions(states)
         findings += (note("log.unmeasured", state=name) for name in states if name not in parts[0].x)
         samples = dict(zip(states, data.x_next.isfinite().sum(0).tolist(), strict=True))
         few: list[dict[str, Any]] = [{"count": len(data)}] if len(data) < LEAST else []
@@ -621,17 +626,25 @@ def _with_units(
     """Return columns with the units of their headings; degrees of states become rad.
 
     A column keeps what was given of it: a scale, and a unit that is none of the two. Turns per minute are those of an
-    angle if the state is known or called to be its rate, as `speed` is beside a single one.
+    angle if the state is known or called to be its rate; of others the samples tell, later.
     """
     inside, found = {name: split_unit(column.name)[1] for name, column in columns.items()}, dict(columns)
     angles = [name for name in columns if "rad" in (columns[name].unit, in_radians(inside[name])[0])]
     for name, column in columns.items():
-        turns = column.unit == "rad/s" or (name in PLAIN_RATES and len(angles) == 1)
-        turns |= any(is_rate_of(angle, name) or (known or {}).get(angle) == name for angle in angles)
+        turns = column.unit == "rad/s" or any(is_rate_of(a, name) or (known or {}).get(a) == name for a in angles)
         unit, factor = in_radians(inside[name], turns) if states else (inside[name], 1.0)
         if unit and column.scale == 1 and column.unit in ("-", unit):
             found[name] = replace(column, unit=unit, scale=factor)
     return found
+
+
+def _turns_angle(data: Transitions, place: int, columns: Sequence[Column]) -> bool:
+    """Tell whether a column in turns per minute moves a measured angle, one way or the other, as its rate does."""
+    if columns[place].unit != "rpm":
+        return False
+    angles = (i for i, column in enumerate(columns) if column.name and column.unit == "rad")
+    ties = (compare_rate(data, angle, place) for angle in angles)
+    return any(abs(correlation) > ALIKE and abs(abs(factor) / RPM - 1) < 0.05 for factor, correlation in ties)
 
 
 def _columns_of(group: Mapping[str, Any], states: bool) -> dict[str, Column]:
