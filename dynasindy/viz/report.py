@@ -78,9 +78,6 @@ WAVES = "With the model, sines and square waves are followed."
 CLAIMS = (MODEL, SOONER, EXACT, WAVES)
 
 Coefficients = Mapping[str, Mapping[str, float]]
-_Score = Mapping[str, float | None]
-
-
 HOLDS, SAME, SHORT = "holds", "no difference", "not reached"
 """How ours stands to a statement of the paper."""
 
@@ -233,9 +230,14 @@ def _training(results: Results, plant: str, experiment: str) -> _Made:
 def _model_learning(results: Results, plant: str, experiment: str) -> _Made:
     run = results.run(plant, experiment)
     table = read_table(run / "gate.csv")
-    opened = table["episode"][table["open"] == 1]
-    below = float(results.settings[run.name]["gate"]["open_below"])
-    yield _judge_learning(array(table["episode"]), array(table["reward_error"]), array(opened), below)
+    episode, error = array(table["episode"]), array(table["reward_error"])  # not finite where the replay ran away
+    opened, below = episode[table["open"] == 1], float(results.settings[run.name]["gate"]["open_below"])
+    worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
+    first, last, most = (f"{error[k]:.2g} in episode {episode[k]:.0f}" for k in (0, -1, worst))
+    trusted = f"trusted from episode {opened[0]:.0f}" if len(opened) else "never trusted"
+    ours = f"per period {first}, {last}, at worst {most}; {trusted}, below {below:g} on held-out windows"
+    fallen = bool(error[-1] < FALL * error[0] and error[-1] < below) or bool((error < below).all())
+    yield _judge("the reward error of the model is high at first and falls to almost none", MODEL, ours, fallen)
     figure = gate(table, f"SINDy model learning progress: plant {plant}, experiment {experiment}")
     caption = f"Error of the model over the episodes on `{plant}`, `{experiment}`."
     yield _Picture(f"model_learning_{plant}_{experiment}", figure, caption)
@@ -246,36 +248,37 @@ def _states(results: Results, plant: str, experiment: str, episode: str) -> _Mad
     run = results.run(plant, experiment)
     table = read_table(run / f"data/prediction_{episode}_episode.csv")
     real, model = array(table[STATES]), array(table[[f"predicted_{name}" for name in STATES]])
-    errors, when = _state_errors(real, model), "before" if episode == "first" else "after"
+    when = "before" if episode == "first" else "after"
     title = f"Predicted and real states {when} learning: plant {plant}, experiment {experiment}"
     figure = prediction(table["time"], real, model, SIGNATURE, title)
     caption = f"Open-loop prediction of an episode on `{plant}`, `{experiment}`."
     yield _Picture(f"states_{when}_{plant}_{experiment}", figure, caption)
     if episode == "first":
-        rotors = {name: error for name, error in errors.items() if name.startswith("omega_")}
-        yield _judge_model("the rotor speeds are predicted well", rotors)
+        yield _judge_model("the rotor speeds are predicted well", real, model, "omega_")
         return
-    yield _judge_model("all six states are predicted closely", errors)
+    yield _judge_model("all six states are predicted closely", real, model)
     # The excitation applied to the final model, as the paper does.
     table = read_table(run / "data/excitation.csv")
     x, u = (torch.tensor(array(table[names])) for names in (STATES, INPUTS))
     dt = float(table["time"][1] - table["time"][0])
     data = Transitions(x[:-1], u[:-1], x[1:], dt, torch.zeros(len(x) - 1, dtype=torch.int64))
     predicted = open_loop(SindyModel.load(run / "model.json"), data, results.settings[run.name]["env"]["substeps"])
-    yield _judge_model("so they are when the chirp is applied again", _state_errors(x[1:].numpy(), predicted.numpy()))
-
-
-def _state_errors(real: Array, model: Array) -> dict[str, float]:
-    """Return the RMSE of each state in percent of its range, infinite where the model ran away."""
-    span = np.ptp(real, axis=0)
-    error = 100 * np.sqrt(np.mean((model - real) ** 2, axis=0)) / np.where(span > 0, span, 1.0)
-    return dict(zip(STATES, np.nan_to_num(error, nan=np.inf).tolist(), strict=True))
+    yield _judge_model("so they are when the chirp is applied again", x[1:].numpy(), predicted.numpy())
 
 
 def _coefficients(results: Results, plant: str, experiment: str) -> _Made:
     run, true = results.run(plant, experiment), _published_coefficients()
     model: Coefficients = read_json(run / "model.json")["coefficients"]
-    yield _judge_coefficients(model, true)
+    truth, ours = (
+        {(state, name): value for state, row in one.items() for name, value in row.items()} for one in (true, model)
+    )
+    hit, false = truth.keys() & ours, ours.keys() - truth
+    worst = 100 * max((abs(ours[key] / truth[key] - 1) for key in hit), default=np.inf)
+    small = max((abs(ours[key]) / max(map(abs, model[key[0]].values())) for key in false), default=0.0)
+    words = f"{len(hit)} of them found, the worst {worst:.2g} % off; {len(false)} functions besides"
+    words += f", the largest {small:.1g} of the largest in its equation" if false else ""
+    holds = len(hit) == len(truth) and not false and worst < COEFFICIENT
+    yield _judge(f"{len(truth)} coefficients are not zero", MODEL, words, holds)
     yield f"**Plant `{plant}`, `experiment={experiment}`**: as identified, the published coefficient in brackets."
     names = dict.fromkeys(name for row in (*true.values(), *model.values()) for name in row)
     rows = [
@@ -306,13 +309,27 @@ def _rewards(results: Results, plant: str, experiment: str) -> _Made:
     # What not every seed of every setting was evaluated after is not comparable.
     episodes = sorted(set.intersection(*(set(each.dropna(axis=1)) for each in seeds.values())))
     curves = {SETTINGS[name]: each[episodes].to_numpy(copy=True) for name, each in seeds.items()}
-    to_level = {}
+    to_level = {}  # of other agents without a model, too, all of which planning has to be ahead of
     for name in (*seeds, *(each for each in MODEL_FREE if each in runs["setting"].unique())):
         own = runs[runs["setting"] == name]
         lengths = " or ".join(f"{length:g}" for length in own["episodes"].unique())
         words = SETTINGS.get(name) or f"{controller_name(name)} ({lengths} episodes)"
         to_level[words] = own["episodes_to_level"].fillna(np.inf).tolist()
-    yield from _judge_rewards(curves, to_level)
+    mean = {name: _middle(returns.T) for name, returns in curves.items()}
+    early = {name: float(values[: max(1, int(EARLY * len(values)))].mean()) for name, values in mean.items()}
+    level = {name: float(_middle(values)) for name, values in to_level.items()}
+    planned = [name for name in (SOME, MANY) if name in mean]
+    if NONE in mean and planned:
+        greater = all(early[name] > early[NONE] for name in planned)
+        words = f"mean of the first {100 * EARLY:g} %: {_listed(early)}"
+        yield _judge("planning has the greater rewards early", SOONER, words, greater)
+        sooner = max(level[name] for name in planned) < min(level[name] for name in level if name not in planned)
+        words = f"real episodes to the level: {_listed(level)}"
+        yield _judge("planning reaches the required level sooner", SOONER, words, sooner)
+    if len(planned) == 2:
+        words = f"real episodes to the level: {_listed({name: level[name] for name in planned})}"
+        statement = f"800 rollouts converge sooner than 400, there in about {SOON} episodes"
+        yield _judge(statement, SOONER, words, level[MANY] < level[SOME], max(level[SOME], level[MANY]) <= SOON)
     commits = ", ".join(runs[runs["setting"].isin([*seeds])]["commit"].unique())
     command = f"python scripts/ablation.py system={plant} experiment={experiment}"
     caption = f"Returns on `{plant}`, `{experiment}`, up to {episodes[-1]:g} real episodes: `{CURVES}`, made by "
@@ -325,7 +342,16 @@ def _steps(results: Results, plant: str, experiment: str) -> _Made:
     runs = {words: results.run(plant, experiment, name) for name, words in SETTINGS.items()}
     _, figure = _draw_tracking(runs, "step", f"Step tracking: plant {plant}, experiment {experiment}")
     scores = {words: read_json(run / "metrics.json")["evaluation"] for words, run in runs.items()}
-    yield from _judge_steps(scores)
+    for name, axis in AXES.items():
+        finals = {setting: score[f"steady_state_error/{name}"] for setting, score in scores.items()}
+        error = {setting: np.inf if final is None else final for setting, final in finals.items()}
+        planned = max(error[SOME], error[MANY])
+        words = f"steady-state error [rad]: {_listed(error, 'not finite')}"
+        further = f"{axis}: without planning it settles further from the reference than with it"
+        yield _judge(further, EXACT, words, LEVEL >= planned < error[NONE])
+        smallest = LEVEL >= error[MANY] < min(error[NONE], error[SOME])
+        statement = f"{axis}: 800 rollouts have the smallest steady-state error"
+        yield _judge(statement, EXACT, words, smallest, planned <= FINE)
     caption = f"A step on `{plant}`, after {results.settings[runs[MANY].name]['train']['episodes']} episodes."
     yield _Picture(f"step_{plant}_{experiment}", figure, caption)
 
@@ -334,7 +360,17 @@ def _wave(results: Results, plant: str, experiment: str, shape: str) -> _Made:
     settings = ("rollouts_800", "rollouts_0")
     runs = {SETTINGS[name]: results.run(plant, experiment, name) for name in settings}
     tables, figure = _draw_tracking(runs, shape, f"{shape.capitalize()} wave: plant {plant}, experiment {experiment}")
-    yield from _judge_wave(shape, *(array(tables[MANY][names]) for names in ("time", REFERENCES, TRACKED)))
+    time, target, output = (array(tables[MANY][names]) for names in ("time", REFERENCES, TRACKED))
+    if shape == "sine":
+        errors = np.sqrt(np.mean((output - target)[time >= TRANSIENT] ** 2, axis=0))
+        statement = f"with the model the sine is followed (RMSE under {100 * FOLLOWS:g} % of it)"
+        words = f"RMSE after {TRANSIENT:g} s: {{:.3g}} rad of {{:.3g}} rad"
+    else:
+        errors = array([_at_levels(time, *axis) for axis in zip(target.T, output.T, strict=True)])
+        statement = "with the model each level is held with little steady-state error"
+        words = f"{{:.3g}} rad over the last {SETTLED:g} s of each level of {{:.3g}} rad"
+    for axis, error, size in zip(AXES.values(), errors, np.abs(target).max(0), strict=True):
+        yield _judge(f"{axis}: {statement}", WAVES, words.format(error, size), bool(error < FOLLOWS * size))
     caption = f"The {shape} wave on `{plant}`, after {results.settings[runs[MANY].name]['train']['episodes']} episodes."
     yield _Picture(f"{shape}_{plant}_{experiment}", figure, caption)
 
@@ -363,20 +399,13 @@ def _judge(statement: str, claim: str, ours: str, holds: bool, same: bool = Fals
     return _Judgement(statement, claim, ours, HOLDS if holds else SAME if same else SHORT)
 
 
-def _judge_learning(episode: Array, error: Array, opened: Array, below: float) -> _Judgement:
-    """Judge the reward error per period of each episode, `(n,)`, not finite where the replay ran away."""
-    worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
-    first, last, most = (f"{error[k]:.2g} in episode {episode[k]:.0f}" for k in (0, -1, worst))
-    trusted = f"trusted from episode {opened[0]:.0f}" if len(opened) else "never trusted"
-    ours = f"per period {first}, {last}, at worst {most}; {trusted}, below {below:g} on held-out windows"
-    fallen = bool(error[-1] < FALL * error[0] and error[-1] < below) or bool((error < below).all())
-    return _judge("the reward error of the model is high at first and falls to almost none", MODEL, ours, fallen)
-
-
-def _judge_model(statement: str, errors: Mapping[str, float]) -> _Judgement:
-    """Judge a model by the RMSE of each state [% of its range]."""
+def _judge_model(statement: str, real: Array, model: Array, kind: str = "") -> _Judgement:
+    """Judge a model by the RMSE of each state of a kind [% of its range], infinite where it ran away."""
+    span = np.ptp(real, axis=0)
+    rmse = 100 * np.sqrt(np.mean((model - real) ** 2, axis=0)) / np.where(span > 0, span, 1.0)
+    errors = {name: error for name, error in zip(STATES, np.nan_to_num(rmse, nan=np.inf)) if name.startswith(kind)}
     words = ", ".join(f"`{name}` {error:.2g}" for name, error in errors.items())
-    return _judge(statement, MODEL, f"RMSE in % of range: {words}", max(errors.values()) < CLOSE)
+    return _judge(statement, MODEL, f"RMSE in % of range: {words}", bool(max(errors.values()) < CLOSE))
 
 
 def _published_coefficients() -> Coefficients:
@@ -392,70 +421,6 @@ def _published_coefficients() -> Coefficients:
         state: {name: float(f"{xi[i, k]:.9g}") for i, name in enumerate(library.names) if shares[i, k] > 1e-9}
         for k, state in enumerate(STATES)
     }
-
-
-def _judge_coefficients(model: Coefficients, truth: Coefficients) -> _Judgement:
-    """Judge identified coefficients, by equation and function, against published ones."""
-    true, ours = (
-        {(state, name): value for state, row in one.items() for name, value in row.items()} for one in (truth, model)
-    )
-    hit, false = true.keys() & ours, ours.keys() - true
-    worst = 100 * max((abs(ours[key] / true[key] - 1) for key in hit), default=np.inf)
-    small = max((abs(ours[key]) / max(map(abs, model[key[0]].values())) for key in false), default=0.0)
-    words = f"{len(hit)} of them found, the worst {worst:.2g} % off; {len(false)} functions besides"
-    words += f", the largest {small:.1g} of the largest in its equation" if false else ""
-    statement = f"{len(true)} coefficients are not zero"
-    return _judge(statement, MODEL, words, len(hit) == len(true) and not false and worst < COEFFICIENT)
-
-
-def _judge_rewards(curves: Mapping[str, Array], to_level: Mapping[str, Sequence[float]]) -> Iterator[_Judgement]:
-    """Judge returns per setting, `(n_seeds, n_evaluations)`, and real episodes to the level per setting and seed.
-
-    Settings without returns are other agents without a model, all of which planning has to be ahead of.
-    """
-    mean = {name: _middle(returns.T) for name, returns in curves.items()}
-    early = {name: float(values[: max(1, int(EARLY * len(values)))].mean()) for name, values in mean.items()}
-    level = {name: float(_middle(values)) for name, values in to_level.items()}
-    planned = [name for name in (SOME, MANY) if name in mean]
-    if NONE in mean and planned:
-        greater = all(early[name] > early[NONE] for name in planned)
-        words = f"mean of the first {100 * EARLY:g} %: {_listed(early)}"
-        yield _judge("planning has the greater rewards early", SOONER, words, greater)
-        sooner = max(level[name] for name in planned) < min(level[name] for name in level if name not in planned)
-        words = f"real episodes to the level: {_listed(level)}"
-        yield _judge("planning reaches the required level sooner", SOONER, words, sooner)
-    if len(planned) == 2:
-        words = f"real episodes to the level: {_listed({name: level[name] for name in planned})}"
-        statement = f"800 rollouts converge sooner than 400, there in about {SOON} episodes"
-        yield _judge(statement, SOONER, words, level[MANY] < level[SOME], max(level[SOME], level[MANY]) <= SOON)
-
-
-def _judge_steps(scores: Mapping[str, _Score]) -> Iterator[_Judgement]:
-    """Judge step tracking of the three settings by their `steady_state_error/<axis>` [rad]."""
-    for name, axis in AXES.items():
-        finals = {setting: score[f"steady_state_error/{name}"] for setting, score in scores.items()}
-        error = {setting: np.inf if final is None else final for setting, final in finals.items()}
-        planned = max(error[SOME], error[MANY])
-        words = f"steady-state error [rad]: {_listed(error, 'not finite')}"
-        further = f"{axis}: without planning it settles further from the reference than with it"
-        yield _judge(further, EXACT, words, LEVEL >= planned < error[NONE])
-        smallest = LEVEL >= error[MANY] < min(error[NONE], error[SOME])
-        statement = f"{axis}: 800 rollouts have the smallest steady-state error"
-        yield _judge(statement, EXACT, words, smallest, planned <= FINE)
-
-
-def _judge_wave(shape: str, time: Array, target: Array, output: Array) -> Iterator[_Judgement]:
-    """Judge a sine or square wave, `(T, 2)` each: the reference, and the outputs with the model [rad]."""
-    if shape == "sine":
-        errors = np.sqrt(np.mean((output - target)[time >= TRANSIENT] ** 2, axis=0))
-        statement = f"with the model the sine is followed (RMSE under {100 * FOLLOWS:g} % of it)"
-        words = f"RMSE after {TRANSIENT:g} s: {{:.3g}} rad of {{:.3g}} rad"
-    else:
-        errors = array([_at_levels(time, *axis) for axis in zip(target.T, output.T, strict=True)])
-        statement = "with the model each level is held with little steady-state error"
-        words = f"{{:.3g}} rad over the last {SETTLED:g} s of each level of {{:.3g}} rad"
-    for axis, error, size in zip(AXES.values(), errors, np.abs(target).max(0), strict=True):
-        yield _judge(f"{axis}: {statement}", WAVES, words.format(error, size), bool(error < FOLLOWS * size))
 
 
 def _at_levels(time: Array, target: Array, y: Array) -> float:
