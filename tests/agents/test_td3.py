@@ -1,4 +1,4 @@
-"""The agent: update frequencies, seeds, resume, settings."""
+"""The agent, its steps in machine code and its noise: the algorithm written with torch alone, seeds, resume."""
 
 import copy
 import math
@@ -7,9 +7,12 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import nn
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from dynasindy.agents.td3 import TD3, Hyperparameters
+from dynasindy.agents import TD3, DecayingGaussian, Hyperparameters
+from dynasindy.agents.loss import MachineSteps
 from dynasindy.systems import Diverged
+from dynasindy.systems.compiler import compiler
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -220,3 +223,153 @@ def test_actor_climbs_the_critic():
         agent.update(batch)
     action = agent.policy(next(batches(1, seed=5)))["action"]
     assert (action - 0.5).abs().mean().item() < 0.2
+
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
+
+
+def transitions(rows, n_obs=3, n_u=2, seed=0):
+    rng = torch.Generator().manual_seed(seed)
+    seen, then = torch.randn(2, rows, n_obs, generator=rng)
+    acted, reward = torch.rand(rows, n_u, generator=rng) * 2 - 1, torch.randn(rows, 1, generator=rng)
+    ended = torch.rand(rows, 1, generator=rng) < 0.3
+    following = TensorDict({"observation": then, "reward": reward, "terminated": ended}, [rows])
+    return TensorDict({"observation": seen, "action": acted, "next": following}, [rows])
+
+
+def pair(n_obs=3, n_u=2, **settings):
+    settings = {"hidden": (6, 5), "seed": 3, "target_update_interval": 2, "tau": 0.3} | settings
+    return tuple(TD3(n_obs, n_u, **settings, machine_code=code) for code in (True, False))
+
+
+def weights(agent):
+    return {name: value for name, value in agent.loss.state_dict().items() if value.is_floating_point()}
+
+
+@needs_compiler
+@pytest.mark.parametrize("rows", [1, 33])
+@pytest.mark.parametrize(
+    ("n_obs", "n_u", "hidden", "critics"),
+    [(3, 2, (6, 5), 2), (1, 1, (1,), 2), (20, 3, (17, 40, 33), 3), (31, 2, (16, 32), 2), (40, 9, (64,), 4)],
+)
+def test_losses_gradients_and_steps_are_those_of_automatic_differentiation(rows, n_obs, n_u, hidden, critics):
+    """The moments of Adam hold the gradients of all steps, so each of them is compared."""
+    ours, torchs = pair(n_obs, n_u, hidden=hidden, critics=critics, critic_lr=1e-3, actor_lr=1e-3)
+    for seed in range(4):
+        batch = transitions(rows, n_obs, n_u, seed)
+        found, wanted = ours.update(batch), torchs.update(batch)
+        for name, value in wanted.items():
+            assert found[name].item() == pytest.approx(value.item(), rel=2e-5, abs=1e-6)
+    assert isinstance(ours._steps, MachineSteps) and not isinstance(torchs._steps, MachineSteps)
+    for kind in ("critic_optimizer", "actor_optimizer"):
+        states = (getattr(agent, kind).state_dict()["state"] for agent in (ours, torchs))
+        for found, wanted in zip(*(state.values() for state in states), strict=True):
+            assert found["step"] == wanted["step"]
+            for moment in ("exp_avg", "exp_avg_sq"):
+                size = wanted[moment].abs().max().item()
+                torch.testing.assert_close(found[moment], wanted[moment], rtol=1e-4, atol=1e-5 * size)
+
+
+@needs_compiler
+def test_a_batch_that_is_not_in_one_piece_counts_as_its_copy():
+    ours, other = pair()[0], pair()[0]
+    batch = transitions(40)
+    sliced = transitions(40)
+    for part, key in ((sliced, "observation"), (sliced, "action"), (sliced["next"], "observation")):
+        part[key] = part[key].t().contiguous().t()
+        assert not part[key].is_contiguous()
+    assert ours.update(batch)["critic_loss"] == other.update(sliced)["critic_loss"]
+    assert all(torch.equal(a, b) for a, b in zip(weights(ours).values(), weights(other).values(), strict=True))
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "replace",
+    [
+        lambda agent: agent.critic_optimizer.load_state_dict(copy.deepcopy(agent.critic_optimizer.state_dict())),
+        lambda agent: agent.actor_optimizer.load_state_dict(copy.deepcopy(agent.actor_optimizer.state_dict())),
+        lambda agent: agent.loss.share_memory(),
+    ],
+)
+def test_a_tensor_that_was_replaced_is_the_one_that_learns(replace):
+    agent, whole = pair()[0], pair()[0]
+    for one in (agent, whole):
+        one.update(transitions(10))
+        one.update(transitions(10, seed=1))
+    replace(agent)
+    for one in (agent, whole):
+        one.update(transitions(10, seed=2))
+        one.update(transitions(10, seed=3))
+    assert all(torch.equal(a, b) for a, b in zip(weights(agent).values(), weights(whole).values(), strict=True))
+
+
+@pytest.mark.parametrize("place", [0, 1], ids=["machine code", "torch"])
+@pytest.mark.parametrize("kind", ["critics", "actor"])
+def test_no_weight_moves_by_a_loss_that_is_refused(place, kind):
+    agent = pair()[place]
+    before = {name: value.clone() for name, value in weights(agent).items()}
+
+    def refuse(loss, what):
+        raise ZeroDivisionError(what)
+
+    with pytest.raises(ZeroDivisionError, match=kind):
+        getattr(agent._steps, kind)(transitions(10), refuse)
+    assert all(torch.equal(before[name], value) for name, value in weights(agent).items())
+
+
+@needs_compiler
+@pytest.mark.parametrize("net", [0, 1, 2])
+def test_a_target_that_is_no_number_is_not_taken_for_the_larger_one(net):
+    agent = pair(critics=3)[0]
+    with torch.no_grad():
+        agent.loss.target_critic_layers[1].weight[net] = math.nan
+    with pytest.raises(Diverged, match="update"):
+        agent.update(transitions(10))
+
+
+def zeros(n=20000):
+    return TensorDict({"action": torch.zeros(n, 1)}, [n])
+
+
+def test_sigma_decays_by_its_rate_each_step_down_to_the_minimum():
+    noise = DecayingGaussian(sigma=0.15, decay=1e-3, minimum=0.05)
+    for _ in range(400):
+        noise(zeros(1))
+    assert noise.sigma == pytest.approx(0.15 * math.exp(400 * math.log1p(-1e-3)))
+    for _ in range(1000):
+        noise(zeros(1))
+    assert noise.sigma == 0.05
+
+
+def test_imagined_steps_use_the_noise_without_advancing_its_decay():
+    noise = DecayingGaussian(sigma=0.15, decay=0.5)
+    frozen = noise.frozen()
+    assert frozen(zeros())["action"].std().item() == pytest.approx(0.15, rel=0.02)
+    assert noise.sigma == 0.15
+    assert not frozen.state_dict()
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        assert frozen(zeros(8))["action"].abs().max() == 0
+    noise.sigma = 0.05
+    assert frozen(zeros())["action"].std().item() == pytest.approx(0.05, rel=0.02)
+
+
+def test_actions_are_clipped():
+    noise = DecayingGaussian(sigma=5.0)
+    assert noise(zeros())["action"].abs().max() == 1
+
+
+def test_state_is_restored():
+    noise, other = DecayingGaussian(seed=1), DecayingGaussian(seed=2)
+    noise(zeros(4))
+    other.load_state_dict(noise.state_dict())
+    assert other.sigma == noise.sigma
+    assert torch.equal(other(zeros(4))["action"], noise(zeros(4))["action"])
+
+
+def test_a_draw_is_the_action_plus_sigma_times_its_generators_numbers():
+    noise = DecayingGaussian(sigma=0.3, decay=0.1, seed=4)
+    drawn = torch.randn(5, 2, generator=torch.Generator().manual_seed(4))
+    action = torch.linspace(-0.9, 0.9, 10).reshape(5, 2)
+    given = noise(TensorDict({"action": action.clone()}, [5]))["action"]
+    torch.testing.assert_close(given, (action + 0.3 * drawn).clamp(-1, 1))
+    assert noise.sigma == pytest.approx(0.27)

@@ -1,4 +1,8 @@
-from dataclasses import replace
+"""What a recipe builds, what of it a run keeps, and an observer that makes up for a delay which the fit has found."""
+
+import copy
+import math
+from dataclasses import fields, replace
 from functools import partial
 
 import pytest
@@ -6,12 +10,13 @@ import torch
 
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna import experiment
-from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.loop import LoopSettings
-from dynasindy.envs import Chirp, ControlEnv, RandomStep, Tracking
-from dynasindy.planning import Gate, NoPlanning
-from dynasindy.sindy import Oracle
-from dynasindy.systems import Tras
+from dynasindy.dyna.callback import Callback, Place
+from dynasindy.dyna.experiment import Components, LoopSettings, Recipe
+from dynasindy.dyna.loop import train
+from dynasindy.envs import Chirp, ControlEnv, Multisine, RandomStep, Tracking, TrackingReward
+from dynasindy.planning import Gate, ImaginedReplay, NoPlanning
+from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
+from dynasindy.systems import Pendulum, Tras
 
 
 def recipe(seed=0):
@@ -81,3 +86,188 @@ def test_the_memory_of_the_storages_is_that_of_their_full_rows(monkeypatch, subs
     n_o = parts.plant.task.n_o
     # Two observations, two inputs and a reward, of four bytes; state, next state and samples of six, of eight bytes.
     assert sizes == [(1000 + 300 + 16) * 4 * (n_o + n_o + 2 + 1) + 1000 * 8 * 6 * (1 + 1 + substeps)]
+
+
+class Goal:
+    learns = False
+
+
+class Learner(Goal):
+    learns = True
+
+    def __init__(self):
+        self.learnt = 0
+
+    def state_dict(self):
+        return {"learnt": self.learnt}
+
+    def load_state_dict(self, state):
+        self.learnt = state["learnt"]
+
+
+class Part:
+    """Any part of a run: it holds a number, and draws."""
+
+    def __init__(self, number):
+        self.number, self.rng, self.is_open = number, torch.Generator().manual_seed(number), number > 5
+        self.task = Goal()
+
+    def check(self):
+        pass
+
+    def state_dict(self):
+        return {"number": self.number}
+
+    def load_state_dict(self, state):
+        self.number = state["number"]
+
+
+@pytest.mark.parametrize("behind_sensors", [False, True])
+def test_every_part_goes_on_where_it_was(behind_sensors):
+    one, other = (
+        Components(
+            **{
+                f.name: Part(start + k)
+                for k, f in enumerate(fields(Components))
+                if f.name != "sensing" or behind_sensors
+            }
+        )
+        for start in (0, 100)
+    )
+    state = one.state_dict()
+    torch.rand(3)
+    drawn = [getattr(one, name).rng.get_state() for name in ("plant", "model_env")]
+    wanted = torch.rand(2)
+    other.load_state_dict(one.state_dict() | {"global": state["global"]})
+    torch.rand(3)
+    assert torch.equal(torch.rand(2), wanted)
+    kept = ["world_model", "agent", "replay", "planner", *(["sensing"] if behind_sensors else [])]
+    assert [getattr(other, name).number for name in kept] == [getattr(one, name).number for name in kept]
+    assert [state[name]["number"] for name in kept] == [getattr(one, name).number for name in kept]
+    assert other.gate.is_open == one.gate.is_open
+    now = [getattr(other, name).rng.get_state() for name in ("plant", "model_env")]
+    assert all(torch.equal(a, b) for a, b in zip(now, drawn, strict=True))
+
+
+def test_what_a_task_has_learnt_goes_on_with_the_run():
+    one, other = (
+        Components(**{f.name: Part(k) for k, f in enumerate(fields(Components)) if f.name != "sensing"}) for _ in "ab"
+    )
+    for parts in (one, other):
+        parts.plant.task = Learner()
+    one.plant.task.learnt = 7
+    other.load_state_dict(one.state_dict())
+    assert other.plant.task.learnt == 7
+
+
+WORDS = ["1", "u", "theta", "Omega", "sin(theta)"]
+
+
+def pendulum(periods, sensors=None):
+    """Return a recipe of a pendulum all of whose states are seen, and whose input is late without a word."""
+    return Recipe(
+        system=Pendulum(),
+        task=partial(
+            Tracking,
+            reference=RandomStep([-0.5], [0.5]),
+            outputs=["theta"],
+            rates=["Omega"],
+            reward=TrackingReward((4.0,)),
+            max_steps=50,
+        ),
+        env=partial(ControlEnv, substeps=2, delay=0.05 * periods, dtype=torch.float64),
+        excitation=partial(Multisine, duration=2.5, amplitude=[0.3]),
+        world_model=partial(
+            SindyModel,
+            library=WORDS,
+            regression=Regression("bic", tolerance=1e-4),
+            refinement=Refinement("integral", longest_delay=None),
+            known={"theta": "Omega"},
+        ),
+        agent=partial(TD3, hidden=(8,)),
+        replay=partial(DynaReplay, 1000, 16),
+        planning=partial(ImaginedReplay, rollouts=4, horizon=5),
+        gate=Gate(math.inf, math.inf),
+        train=LoopSettings(2, 0.2),
+        sensors=sensors,
+    )
+
+
+class Heard(Callback):
+    """Keep the episodes, and the state of the parts at each place."""
+
+    def __init__(self, parts, place):
+        self.parts, self.place, self.rollouts, self.states, self.refits = parts, place, [], [], []
+
+    def episode(self, episode, cost):
+        self.rollouts.append(episode.rollout)
+        self.refits.append(episode.refit)
+
+    def reached(self, place):
+        self.states.append(copy.deepcopy((place.state_dict(), self.parts.state_dict())))
+
+
+def test_the_policy_is_shown_where_the_plant_will_be_when_its_input_arrives():
+    made, periods = pendulum(2.5), 2.5
+    parts, place = made.build(), Place()
+    heard = Heard(parts, place)
+    train(parts, made.train, heard, place)
+    assert parts.world_model.delay == pytest.approx(0.05 * periods, abs=1e-3)
+    ahead(heard.rollouts[-1], periods)
+
+
+def ahead(rows, periods):
+    """Make sure that a policy was shown where the plant is so many periods later."""
+    samples, later = rows["next", "samples"].reshape(-1, 2), round(2 * periods)  # two samples in a period
+    truth = samples[later - 1 :: 2][: len(rows) - math.ceil(periods)]
+    shown = rows["state"][: len(truth)]
+    now = rows["true_state"][: len(truth)]
+    assert (now - truth).abs().max() > 0.1  # the plant moves much meanwhile
+    torch.testing.assert_close(shown[3:], truth[3:], atol=2e-3, rtol=0.0)
+
+
+class Later(Heard):
+    """Have delays looked for after the first fit only."""
+
+    def fitted(self, report, excited, cost):
+        assert self.parts.world_model.delay == 0.0 and self.parts.sensing is None
+        self.parts.world_model.refinement = Refinement("integral", longest_delay=None)
+
+
+@pytest.mark.parametrize(("periods", "held_out"), [(1, 2), (2.5, 0)])
+def test_a_delay_that_a_refit_finds_is_made_up_for_from_then_on(periods, held_out):
+    made = pendulum(periods)
+    made.world_model.keywords["refinement"] = Refinement("integral", longest_delay=0.0)
+    parts, place = made.build(), Place()
+    heard = Later(parts, place)
+    train(parts, replace(made.train, held_out=held_out), heard, place)
+    first, second = heard.rollouts
+    assert "true_state" not in set(first.keys()) and "true_state" in set(second.keys())
+    assert parts.world_model.delay == pytest.approx(0.05 * periods, abs=1e-3)
+    ahead(second, periods)
+    if held_out:  # the refit is judged by inputs as late as it says, by which it predicts what it has not seen
+        assert heard.refits[0].error_after < 0.01 * heard.refits[0].error_before
+    # Every period that was flown still counts, and the fit reads what was seen of the first ones.
+    assert len(parts.replay.real) == 50 + len(first) + len(second)
+    seen = parts.replay.real_in_order()["measurement"][50 : 50 + len(first)]
+    torch.testing.assert_close(seen, first["state"])
+
+
+def test_a_run_that_makes_up_for_a_delay_goes_on_where_it_was_stopped():
+    made = pendulum(2)
+    made = replace(made, train=replace(made.train, episodes=1))
+    whole, place = made.build(), Place()
+    heard = Heard(whole, place)
+    train(whole, made.train, heard, place)
+    assert len(heard.states) == 3
+    for where, state in heard.states[:-1]:
+        again, place = made.build(), Place()
+        again.load_state_dict(state)
+        place.load_state_dict(where)
+        train(again, made.train, Callback(), place)
+        wanted, found = whole.state_dict(), again.state_dict()
+        assert torch.equal(wanted["world_model"]["coefficients"], found["world_model"]["coefficients"])
+        stored = [state["replay"]["real"]["rows"]["observation"] for state in (wanted, found)]
+        assert torch.equal(*stored)
+        weights = [list(parts.agent.deployed.parameters()) for parts in (whole, again)]
+        assert all(torch.equal(one, other) for one, other in zip(*weights, strict=True)) and weights[0]

@@ -1,10 +1,12 @@
 """The order of Algorithm 1, recorded with fakes, and the whole loop on the true plant."""
 
+import json
+
 import torch
 from torchrl.envs.utils import exploration_type
 
 from dynasindy.agents import TD3, DynaReplay
-from dynasindy.dyna.callback import Callback
+from dynasindy.dyna.callback import Callback, Place
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings, train
 from dynasindy.dyna.refit import Refit
@@ -121,3 +123,12 @@ def test_the_global_exploration_type_is_left_alone():
     _, made = recipe(Recording)
     train(made.build(), made.train, Callback())
     assert exploration_type() == before
+
+
+def test_a_place_that_is_restored_is_the_same_place_and_the_same_cost():
+    here = Place(9, 3000, 20, 5)
+    other = Place()
+    other.load_state_dict(json.loads(json.dumps(here.state_dict())))
+    assert other == here and here.episodes == 7
+    other.add(Planned(imagined=1, updates=2))
+    assert (other.imagined, other.updates) == (21, 7) and here.updates == 5

@@ -1,7 +1,12 @@
+"""A run stopped anywhere ends as one that was not; its checkpoints and its folder."""
+
 import csv
 import dataclasses
 import json
+import os
 import re
+import subprocess
+import sys
 from functools import partial
 
 import pytest
@@ -11,11 +16,12 @@ from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.experiment import LoopSettings, Recipe
 from dynasindy.dyna.recorder import Evaluating
-from dynasindy.dyna.run import run, run_report
+from dynasindy.dyna.run import Checkpoints, result, run, run_report
 from dynasindy.envs import ControlEnv, Multisine, RandomStep, Step, Tracking
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.findings import note
 from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay, NoPlanning
+from dynasindy.safe_io import locked
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Xi
 
@@ -176,3 +182,109 @@ def test_a_task_without_references_goes_the_whole_way(settle, tmp_path, name):
     assert float(rows[0]["evaluated_return"]) == pytest.approx(metrics["evaluation"]["return"], rel=1e-6)
     names = next(csv.reader((tmp_path / "run" / "data" / "step_response.csv").open()))
     assert names[-1] == "u_p [-]" and not (tmp_path / "run" / "controller.json").exists()
+
+
+def test_the_newest_two_are_kept_and_the_newest_is_read(tmp_path):
+    checkpoints = Checkpoints(tmp_path / "checkpoints")
+    assert checkpoints.newest() is None
+    for number in (1, 2, 10):
+        checkpoints.save(number, {"number": number, "weights": torch.full((3,), float(number))})
+    assert sorted(file.name for file in checkpoints.folder.iterdir()) == ["000002.pt", "000010.pt"]
+    state = checkpoints.newest()
+    assert state["number"] == 10 and torch.equal(state["weights"], torch.full((3,), 10.0))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda raw: raw[:-1],  # the end is missing, as after a power cut
+        lambda raw: raw[:100],
+        lambda raw: b"",
+        lambda raw: raw[:-200] + bytes([raw[-200] ^ 1]) + raw[-199:],  # one bit of the payload
+        lambda raw: b"something else\n" + raw,
+        lambda raw: raw + b"0",
+    ],
+)
+def test_a_damaged_file_is_passed_over_for_the_one_before(tmp_path, damage):
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(1, {"number": 1})
+    newest = checkpoints.save(2, {"number": 2, "weights": torch.zeros(100)})
+    newest.write_bytes(damage(newest.read_bytes()))
+    assert checkpoints.newest() == {"number": 1}
+
+
+class Payload:
+    def __reduce__(self):
+        return os.system, ("touch canary",)
+
+
+def test_a_checkpoint_is_data_and_runs_no_code(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    checkpoints = Checkpoints(tmp_path / "checkpoints")
+    checkpoints.save(1, {"attack": Payload()})
+    assert checkpoints.newest() is None
+    assert not (tmp_path / "canary").exists()
+
+
+def test_what_is_removed_is_what_was_made(tmp_path):
+    checkpoints = Checkpoints(tmp_path / "checkpoints")
+    checkpoints.save(1, {})
+    (checkpoints.folder / "mine.txt").write_text("keep")
+    checkpoints.remove()
+    assert [file.name for file in checkpoints.folder.iterdir()] == ["mine.txt"]
+
+
+def test_a_disk_that_cannot_be_read_is_no_reason_to_begin_anew(tmp_path, monkeypatch):
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(1, {"number": 1})
+
+    def fail(*_, **__):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(type(tmp_path), "open", fail)
+    with pytest.raises(OSError, match="Input/output"):
+        checkpoints.newest()
+    monkeypatch.undo()
+    assert checkpoints.newest() == {"number": 1}
+
+
+def finished(folder, episodes=3):
+    record = {"episodes": episodes, "cost": {}, "evaluation": {}, "untrained": {}}
+    record |= {"equations": [], "verdict": {}}
+    (folder / "metrics.json").write_text(json.dumps(record))
+    (folder / "model.json").write_text("{}")
+    torch.save({"weight": torch.zeros(2)}, folder / "policy.pt")
+    return record
+
+
+def test_a_run_has_ended_if_its_files_are_sound(tmp_path):
+    assert result(tmp_path, 3) is None
+    record = finished(tmp_path)
+    assert result(tmp_path, 3) == record
+    assert result(tmp_path, 4) is None  # it was ended after three of four episodes
+
+
+@pytest.mark.parametrize("name", ["metrics.json", "model.json", "policy.pt"])
+@pytest.mark.parametrize("size", [0, 10])
+def test_a_cut_file_is_no_result(tmp_path, name, size):
+    finished(tmp_path)
+    (tmp_path / "model.json").write_text(json.dumps({"library": list(range(20))}))
+    (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:size])
+    assert result(tmp_path, 3) is None
+
+
+HOLD = (
+    "import sys; from pathlib import Path; from dynasindy.safe_io import locked\n"
+    "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
+)
+
+
+def test_two_processes_cannot_work_in_one_folder(tmp_path):
+    other = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert other.stdout.readline() == b"held\n"
+    with pytest.raises(ValueError, match="works"), locked(tmp_path):
+        pass
+    other.kill()  # a claim does not outlive its process, however that ends
+    other.wait()
+    with locked(tmp_path):
+        pass

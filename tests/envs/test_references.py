@@ -8,11 +8,6 @@ from dynasindy.envs.references import rate, value
 from dynasindy.systems import Pendulum
 
 
-def at(reference, seconds, rows=1):
-    params = reference.sample(torch.Size((rows,)), torch.Generator().manual_seed(0))
-    return value(params, torch.full((rows, 1), float(seconds)))
-
-
 def test_random_steps_fill_their_box():
     params = RandomStep([-0.5, 0.1], [0.5, 0.2]).sample(torch.Size((2000,)), torch.Generator().manual_seed(1))
     targets = value(params, torch.zeros(2000, 1))

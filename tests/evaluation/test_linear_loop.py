@@ -144,10 +144,6 @@ TURN = 0.98 * np.array([[math.cos(0.3), math.sin(0.3)], [-math.sin(0.3), math.co
 RATE = np.array([[0.0, 0.5]])
 
 
-def radius(a, b, k, factor):
-    return np.abs(np.linalg.eigvals(a - b @ np.diag(factor) @ k)).max()
-
-
 def test_an_integrator_has_the_margins_of_paper():
     # x+ = x + 0.1 u, u = -4 x: 1 + k L = 0 where 0.4 k = 2. L = 0.4 / (z - 1) has gain 1 where 2 sin(w dt / 2) = 0.4,
     # and its phase there is -90 deg - w dt / 2.

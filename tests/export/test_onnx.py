@@ -13,7 +13,7 @@ from dynasindy.systems import Pendulum, Tras
 onnx = pytest.importorskip("onnx", reason="onnx is not installed: pip install -e '.[export]'")
 runtime = pytest.importorskip("onnxruntime", reason="onnxruntime is not installed: pip install -e '.[export]'")
 
-spec = importlib.util.spec_from_file_location("flights_in_c", __file__.replace("test_onnx", "test_c_controller"))
+spec = importlib.util.spec_from_file_location("flights_in_c", __file__.replace("test_onnx", "test_c_code"))
 assert spec is not None and spec.loader is not None
 flights_in_c = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(flights_in_c)

@@ -1,20 +1,25 @@
-"""Planning through the model's gradient, with the true plant as the model."""
+"""Planning by gradient: updates as written, episodes, and what makes a plan longer."""
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 from scipy.linalg import expm, solve_discrete_are
+from torch import nn
 
 from dynasindy.agents import Actor
 from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward
 from dynasindy.planning import GradientPlanning, Planned
+from dynasindy.planning import imitation as module
 from dynasindy.planning.gradient_planning import _Episodes
-from dynasindy.planning.rollout import imagine
-from dynasindy.systems import Diverged, Signature, System
-from dynasindy.systems.xi import Xi
+from dynasindy.planning.imitation import _better, _starts, imagined_rewards, improve
+from dynasindy.planning.plan_settings import PlanSettings
+from dynasindy.planning.rollout import Rows, imagine
+from dynasindy.sindy import LearnedReward
+from dynasindy.systems import Diverged, Signature, System, Xi
 
 
 @torch.no_grad()
@@ -272,3 +277,130 @@ def test_without_references_the_plan_is_as_good_as_the_regulator_of_the_textbook
     GradientPlanning(env, agent, updates=120, rollouts=16, window=30, lr=1e-2, check_every=20, searches=0).plan()
     assert before < 1.3 * best  # returns are negative
     assert 1.1 * best < earned(agent.policy) < 0.99 * best
+
+
+def test_a_quarter_begins_at_real_states_and_another_goes_on(setting, small):
+    env, agent, replay = setting()
+    real = flown(env, agent)
+    real["state"] = torch.arange(20.0).unsqueeze(-1).expand(20, 6) + 1
+    replay.extend_real(real)
+    planner = GradientPlanning(env, agent, replay, **(small | {"rollouts": 4000}))
+    episodes = _Episodes(planner)
+    x = torch.full((4000, 6), -5.0)
+    lost = torch.arange(4000) < 2000
+    starts = episodes._starts(x, lost)[:, 0]
+    for diverged, rows in ((False, starts[2000:]), (True, starts[:2000])):
+        from_real, from_rest, on = rows > 0, rows == 0, rows == -5
+        assert bool((from_real | from_rest | on).all())
+        assert from_real.float().mean().item() == pytest.approx(0.25, abs=0.04)
+        # Where the model diverged nothing goes on.
+        assert on.float().mean().item() == pytest.approx(0.0 if diverged else 0.25, abs=0.0 if diverged else 0.04)
+    assert starts[starts > 0].unique().tolist() == [float(n) for n in range(1, 21)]
+
+
+def test_one_episode_of_two_is_late_by_as_much_as_may_be(setting, small):
+    env, agent, _ = setting()
+    planner = GradientPlanning(env, agent, **(small | {"rollouts": 4000, "input_delay": 0.7}))
+    drawn = _Episodes(planner)._draw_delays()
+    assert drawn.shape == (4000, 1) and sorted(drawn.unique().tolist()) == pytest.approx([0.0, 0.7])
+    assert float((drawn > 0).float().mean()) == pytest.approx(0.5, abs=0.03)  # of 4000 throws of a coin
+
+
+HERE, THERE, PERIODS = -0.3, 1.0, 40
+
+
+class Sledge(System):
+    """A sledge on a line that goes at most 1 m/s."""
+
+    def __init__(self):
+        super().__init__(Signature(("p",), ("m",), ("speed",), (1.0,)))
+
+    def forward(self, x, u):
+        return u
+
+
+def two_hills(x, u, x_next):
+    """Pay half a point a period about the start, two about a place far off, and next to nothing between."""
+    low, high = (torch.exp(-((x_next[..., 0] - place) ** 2) / 0.01) for place in (HERE, THERE))
+    return 0.5 * low + 2.0 * high
+
+
+def setting():
+    env = ControlEnv(Sledge(), LearnedReward(Sledge().signature, two_hills, max_steps=PERIODS), 0.1, 1)
+    env.task = env.task.with_starts(torch.tensor([[HERE]], dtype=torch.float64))
+    rows = Rows(torch.zeros(1, 1), torch.zeros(1, 1), torch.zeros(1, 0), torch.zeros(1, 1))
+    return env, rows
+
+
+def lazy():
+    """Return a policy that rests where it is."""
+    network = nn.Sequential(nn.Linear(1, 32), nn.ReLU(), nn.Linear(32, 1), nn.Tanh())
+    nn.init.zeros_(network[2].weight)
+    nn.init.zeros_(network[2].bias)
+    return network
+
+
+def earned(env, network):
+    x = torch.tensor([[HERE]])
+    rows = Rows(x, torch.zeros(1, 1), torch.zeros(1, 0), torch.zeros(1, 1))
+    return float(imagined_rewards(env, imagine(env, network, rows, PERIODS)).sum())
+
+
+STAYED = 0.5 * PERIODS
+GONE = sum(float(two_hills(None, None, torch.tensor([min(HERE + 0.1 * k, THERE)]))) for k in range(1, PERIODS + 1))
+"""13 periods at full speed, then the far hill: 27 periods of two points and what lies on the way."""
+
+
+def test_the_best_way_is_that_over_the_border():
+    env, rows = setting()
+    rng, network = torch.Generator().manual_seed(0), lazy()
+    begun = _starts(network, env, rows, rng, PERIODS)
+    way = _better(network, env, begun, rng, PERIODS)
+    found = imagined_rewards(env, way).sum(0)
+    assert earned(env, network) == pytest.approx(STAYED)
+    assert float(found.min()) >= STAYED - 1e-4  # no less than the policy
+    assert float(found.mean()) > 0.85 * GONE
+    assert float(found.max()) <= GONE + 1.0 + 1e-4  # one who goes round the first hill quicker than by hand is not
+
+
+def test_the_gradient_alone_stays_and_imitation_of_ways_goes(monkeypatch):
+    monkeypatch.setattr(module, "UPDATES", 800)
+    env, rows = setting()
+    network, rng = lazy(), torch.Generator().manual_seed(0)
+    slope = torch.autograd.functional.jacobian(lambda p: two_hills(None, None, p), torch.tensor([HERE]))
+    assert abs(float(slope)) < 1e-6
+    planner = SimpleNamespace(network=network, env=env, held_out=rows, rng=rng, searches=2)
+    planner.test, planner.pace = lambda: earned(env, network), PlanSettings(window=PERIODS)
+    done = improve(planner)
+    assert done.score == pytest.approx(earned(env, network))
+    assert done.score > 0.85 * GONE
+    assert done.updates == 1600 and done.imagined >= module.STARTS * PERIODS * module.POPULATION
+
+
+def test_what_comes_after_divergence_earns_as_little_as_the_worst_before():
+    env, rows = setting()
+    rows = Rows(torch.tensor([[0.95], [0.0]]), torch.zeros(2, 1), torch.zeros(2, 0), torch.zeros(2, 1))
+    rows.reach = torch.tensor([1.02])
+    window = imagine(env, lambda o: torch.ones(2, 1), rows, 2)
+    found = imagined_rewards(env, window)
+    p = torch.tensor([[0.1], [0.2]])
+    wanted = two_hills(None, None, p)
+    torch.testing.assert_close(found[:, 1], wanted)
+    assert found[:, 0].tolist() == pytest.approx([float(wanted.min())] * 2)
+    rows.reach = torch.tensor([1e-9])
+    window = imagine(env, lambda o: torch.ones(2, 1), rows, 2)
+    assert imagined_rewards(env, window).isneginf().all()
+
+
+def test_planning_searches_where_there_are_no_references(monkeypatch):
+    monkeypatch.setattr(module, "UPDATES", 50)
+    monkeypatch.setattr(module, "STARTS", 8)
+    planned, scores = [], []
+    for searches in (0, 2):
+        env, _ = setting()
+        planner = GradientPlanning(env, Actor(1, 1, hidden=(8,)), updates=3, rollouts=4, searches=searches)
+        planned.append(planner.plan())
+        scores.append(planner.test())
+    assert [found.updates for found in planned] == [3, 103]
+    assert planned[1].imagined > planned[0].imagined
+    assert scores[1] >= scores[0]

@@ -1,4 +1,4 @@
-"""The commands of `dynasindy`: which there are, and what they say of themselves."""
+"""The commands of dynasindy: which there are, what they imply, and what they leave where something is wrong."""
 
 import os
 import re
@@ -9,6 +9,7 @@ from pathlib import Path
 
 import forked
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = {"torch", "torchrl", "tensordict", "pysindy", "scipy", "sympy", "matplotlib"}
@@ -90,3 +91,179 @@ def test_each_command_has_all_that_it_imports_in_a_process_of_its_own(tmp_path):
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
         assert done.returncode in ((0, 1) if words[0] == "check" else (0,)), (words, done.stderr)
         assert "Traceback" not in done.stderr, (words, done.stderr)
+
+
+@pytest.fixture
+def words(monkeypatch):
+    """Return the module that reads the words of a command line."""
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "scripts")
+    import command
+
+    return command
+
+
+@pytest.mark.parametrize("options", [[], ["--config-dir", "own"], ["--config-dir=own"], ["--config-dir", "own", "-v"]])
+def test_settings_stand_before_options_with_those_that_are_implied(words, options, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    options = [option for option in options if option != "-v"]
+    given = ["plant.outputs=[a]", "model=a.json"]
+    assert words.read_words("train", [*options, *given]) == [*given, "system=logged", *options]
+    assert words.read_words("train", [given[0], *options, given[1]]) == [*given, "system=logged", *options]
+
+
+def test_a_sweep_has_the_folder_of_its_settings_wherever_its_options_stand(words):
+    setting, folder, *options = words.read_words("train", ["-m", "seed=0,1", "--config-dir", "own"])
+    assert setting == "seed=0,1" and options == ["-m", "--config-dir", "own"]
+    assert folder.startswith("hydra.sweep.dir='runs/seed-0-1_")
+    two = words.read_words("train", ["-m", "experiment=smoke", "seed=0,1"])[2]
+    assert two == "hydra.sweep.dir='runs/experiment-smoke-seed-0-1_fef842'"  # a later version goes on with it
+    assert words.read_words("train", ["seed=0,1", "-m"])[1] == folder
+    assert words.read_words("train", ["-m", "seed=0,2"])[1] != folder
+    assert words.read_words("train", ["-m"])[0].startswith("hydra.sweep.dir=")
+    mine = ["seed=0,1", "hydra.sweep.dir=mine", "-m"]
+    assert words.read_words("train", mine) == mine
+
+
+def test_folders_of_jobs_leave_out_what_all_jobs_share_where_a_disk_would_not_take_their_names(words):
+    library = f"plant.library=[{','.join(f'x{k}' for k in range(60))}]"
+    given = words.read_words("train", ["-m", library, "seed=0,1"])
+    assert "hydra.job.config.override_dirname.exclude_keys=[plant.library]" in given
+    assert not any("exclude_keys" in word for word in words.read_words("train", ["-m", "system=xi", "seed=0,1"]))
+
+
+def test_a_run_that_is_resumed_keeps_its_folder(words, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"config\.yaml"):
+        words.read_words("train", [f"resume={tmp_path}"])
+    (tmp_path / "config.yaml").touch()
+    line = words.read_words("train", [f"resume={tmp_path}", "--config-dir", "own"])
+    assert line == [f"resume={tmp_path}", f"hydra.run.dir='{tmp_path}'", "--config-dir", "own"]
+
+
+def test_a_setting_that_no_file_of_its_plant_gives_is_added_and_no_other(words):
+    given = ["system=pendulum", "plant.bounds={theta: 2}", "plant.low=[-1]", "+plant.start={theta: 1}", "seed=1"]
+    assert words.read_words("train", given) == [given[0], "++plant.bounds={theta: 2}", *given[2:]]
+    with pytest.raises(ValueError, match=r"'plant\.low' does not exist"):
+        words.read_words("export", ["plant.low=[1]"])
+
+
+@pytest.mark.parametrize(
+    ("word", "read"),
+    [
+        ("data.time=Time [ms]", {"data.time": "Time [ms]"}),
+        ("data.time=Zeit (s)", {"data.time": "Zeit (s)"}),
+        ("data.states=[T [degC], h (m)]", {"data.states": ["T [degC]", "h (m)"]}),
+        ("data.states=['T [degC]',h]", {"data.states": ["T [degC]", "h"]}),
+        ("plant.low=[-0.5,1]", {"plant.low": [-0.5, 1]}),
+    ],
+)
+def test_a_heading_with_brackets_is_text_though_the_shell_took_its_quotation_marks(words, word, read):
+    key, _, value = word.partition("=")
+    (found,) = OverridesParser.create().parse_overrides([f"{key}={words.as_text(value)}"])
+    assert {found.key_or_group: found.value()} == read
+
+
+SCRIPTS = Path(__file__).parents[2] / "scripts"
+
+
+def unread(*arguments, cwd):
+    """Run Python with an output that has lost its reader before the first line; return exit code and stderr."""
+    ours = [sys.executable, *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(SCRIPTS)}
+    with subprocess.Popen(
+        ours, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd, env=environment
+    ) as process:
+        process.stdout.close()
+        error = process.stderr.read()
+    return process.returncode, error
+
+
+def test_so_does_a_script_that_exits(tmp_path):
+    code = "import sys\nfrom cli import pipe_guard\nwith pipe_guard():\n    print('read me')\n    sys.exit(0)"
+    assert unread("-c", code, cwd=tmp_path) == (141, "")
+
+
+def test_an_error_is_told_though_nobody_reads_the_output(tmp_path):
+    code = "from cli import pipe_guard\nwith pipe_guard():\n    raise RuntimeError('the plant')"
+    status, error = unread("-c", code, cwd=tmp_path)
+    assert status == 1 and "RuntimeError: the plant" in error
+
+
+def test_a_pipe_that_is_not_the_output_breaks_loudly(tmp_path):
+    code = "from cli import pipe_guard\nwith pipe_guard():\n    raise BrokenPipeError('a worker died')"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(SCRIPTS)}
+    )
+    assert done.returncode == 1 and "a worker died" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said", "before"),
+    [
+        (["planning.learning_rate=1,2"], "'learning_rate'", False),
+        (["system=pendulum,nothing"], "'nothing'", True),
+        (["seed=range(0,0)"], "no job", True),
+        (["seed=0,1", "threads=many"], "threads", False),
+    ],
+)
+def test_a_sweep_that_is_refused_leaves_nothing_and_takes_nothing_away(tmp_path, words, said, before):
+    sweep = tmp_path / "runs" / "mine"
+    if before:  # an earlier sweep in this folder
+        (sweep / "0_seed-0").mkdir(parents=True)
+        (sweep / "multirun.yaml").write_text("{}")
+    done = forked.call("train", "-m", "hydra.sweep.dir=runs/mine", *words, cwd=tmp_path)
+    assert done.returncode == 2 and said in done.stderr
+    left = ["runs", "runs/mine", "runs/mine/0_seed-0", "runs/mine/multirun.yaml"] if before else []
+    assert [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("*"))] == left
+
+
+def run(*overrides, cwd, **more):
+    return forked.call("train", *overrides, cwd=cwd, env=os.environ | more)
+
+
+def test_a_group_without_a_file_is_told_and_not_the_file_of_a_user(tmp_path):
+    (tmp_path / "system").mkdir()
+    (tmp_path / "system" / "mine.yaml").write_text((ROOT / "conf" / "system" / "pendulum.yaml").read_text())
+    done = run("--config-dir", str(tmp_path), "system=mine", "sensors=null", cwd=tmp_path)
+    assert done.returncode == 2 and "'null'" in done.stderr and "'sensors'" in done.stderr
+
+
+def test_several_values_without_a_sweep_say_how_to_ask_for_one(tmp_path):
+    done = run("experiment=smoke", "seed=0,1", cwd=tmp_path)
+    assert done.returncode == 2 and done.stdout == ""
+    assert "'seed=0,1'" in done.stderr and "--multirun" in done.stderr and done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+SCRIPT = Path(__file__).parents[2] / "scripts" / "benchmark.py"
+
+
+@pytest.mark.parametrize("argv", [[], ["td4"]])
+def test_unknown_benchmark_gets_one_line_that_names_the_known_ones(argv):
+    done = subprocess.run([sys.executable, SCRIPT, *argv], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "gradient" in done.stderr and "rigs" in done.stderr and "common" not in done.stderr
+    assert (argv[0] if argv else "none") in done.stderr
+
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+def report(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return forked.call("report", *arguments, cwd=cwd)
+
+
+def test_a_folder_without_anything_saved_is_refused_and_no_page_is_written(tmp_path: Path) -> None:
+    done = report(cwd=tmp_path)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.startswith("error: docs/results ") and "results=FOLDER" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_saved_runs_of_the_repository_name_no_machine() -> None:
+    files = list((REPOSITORY / "docs" / "results" / "runs").rglob("*"))
+    texts = {file: file.read_text() for file in files if file.is_file()}
+    assert not [
+        str(file) for file, text in texts.items() if any(word in text for word in ("/tmp", "/root", "/home", "/work"))
+    ]
+    assert not [str(file) for file in files if file.suffix in (".pt", ".png")]

@@ -1,30 +1,32 @@
-"""A report's figures are those of the samples."""
+"""A report's figures are those of the samples, as is what they cannot tell."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from dynasindy.findings import Finding
+from dynasindy.sindy import FitReport, Library
 from dynasindy.sindy.covariance import Covariance
-from dynasindy.sindy.fit_report import FitReport
-from dynasindy.sindy.library import CONSTANT, Library, variable
+from dynasindy.sindy.library import CONSTANT, of, variable
 from dynasindy.sindy.regression import TriangularFactor
-from dynasindy.systems.base import Signature
+from dynasindy.systems import Signature
 
-LIBRARY = Library(Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0)), [CONSTANT, variable("a"), variable("u")])
+PLAIN = Library(Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0)), [CONSTANT, variable("a"), variable("u")])
 XI = torch.tensor([[0.0, 1.0], [2.0, 0.0], [0.0, -1.0]], dtype=torch.float64)
 
 
 def rows(seed: int = 0, noise: float = 0.3) -> tuple[torch.Tensor, torch.Tensor]:
     generator = np.random.default_rng(seed)
-    theta = LIBRARY(torch.from_numpy(generator.normal(size=(90, 2))), torch.from_numpy(generator.normal(size=(90, 1))))
+    theta = PLAIN(torch.from_numpy(generator.normal(size=(90, 2))), torch.from_numpy(generator.normal(size=(90, 1))))
     return theta, theta @ XI + noise * torch.from_numpy(generator.normal(size=(90, 2)))
 
 
 def report(data) -> tuple[FitReport, TriangularFactor]:
     factor = TriangularFactor(data)
-    return FitReport(LIBRARY, XI, factor, 0.25, 90, dt=0.01), factor
+    return FitReport(PLAIN, XI, factor, 0.25, 90, dt=0.01), factor
 
 
 def test_unexplained_parts_are_those_of_the_samples():
@@ -50,7 +52,7 @@ def test_the_text_says_how_well_coefficients_are_known():
 def test_coefficients_of_a_difference_equation_are_those_of_the_change_in_a_step():
     _, factor = report(rows())
     known = Covariance(torch.tensor([2]), torch.tensor([1]), torch.diag(torch.tensor([0.25])).double())
-    stepped = replace(FitReport(LIBRARY.with_step(0.01), XI, factor, 0.25, 90, dt=0.01), covariance=known)
+    stepped = replace(FitReport(PLAIN.with_step(0.01), XI, factor, 0.25, 90, dt=0.01), covariance=known)
     (known,) = stepped.accuracy
     assert known.values["worst"] == pytest.approx(25) and known.values["of_step"]
     assert known.values["least"] == "u in the change of b"
@@ -66,6 +68,63 @@ def test_what_the_others_of_an_equation_leave_over_of_a_function_is_the_sine_of_
     theta[0, 1], theta[1, 1] = 3 * np.cos(angle), 3 * np.sin(angle)
     factor = TriangularFactor((theta, rest))
     xi = torch.tensor([[1.0, 1.0], [1.0, 0.0], [1.0, 1.0]], dtype=torch.float64)
-    told = FitReport(LIBRARY, xi, factor, 0.0, 9).told_apart()
+    told = FitReport(PLAIN, xi, factor, 0.0, 9).told_apart()
     assert told[:, 0].tolist() == pytest.approx([np.sin(angle), np.sin(angle), 1.0])
     assert told[:, 1].tolist() == pytest.approx([1.0, 0.0, 1.0])
+
+
+SIGNATURE = Signature(("a", "b"), ("rad", "rad/s"), ("u", "v"), (1.0, 1.0))
+LIBRARY = Library(SIGNATURE, [CONSTANT, variable("a"), variable("b"), variable("u"), variable("v")])
+
+
+def samples(n: int = 500, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = np.random.default_rng(seed)
+    return torch.from_numpy(generator.uniform(-1, 1, (n, 2))), torch.from_numpy(generator.uniform(-1, 1, (n, 2)))
+
+
+def judge(library: Library, x, u, xi=None, noise=0.0) -> Finding:
+    xi = torch.ones(len(library), 2, dtype=torch.float64) if xi is None else xi
+    theta = library(x, u)
+    dx = theta @ xi + noise * torch.from_numpy(np.random.default_rng(1).normal(size=(len(x), 2)))
+    return FitReport(library, xi, TriangularFactor((theta, dx)), 0.0, len(x)).identifiability
+
+
+def test_rank_and_condition_are_numpy_s_of_unit_columns():
+    x, u = samples()
+    found = judge(LIBRARY, x * torch.tensor([1e-4, 1e5]), u)
+    theta = LIBRARY(x, u).numpy()
+    assert found.values["condition"] == pytest.approx(np.linalg.cond(theta / np.linalg.norm(theta, axis=0)), rel=1e-6)
+    assert (found.values["rank"], found.values["count"]) == (5, 5)
+    assert f"{found.values['condition']:.2g}" in str(found)
+
+
+def test_a_function_alone_is_told_from_nothing_else():
+    x, u = samples()
+    found = judge(Library(SIGNATURE, [variable("a")]), x, u)
+    assert (found.values["rank"], found.values["count"]) == (1, 1) and found.values["condition"] == pytest.approx(1.0)
+
+
+def test_one_signal_on_both_inputs_is_named():
+    x, u = samples()
+    found = judge(LIBRARY, x, u[:, :1].expand(-1, 2))
+    assert found.values["rank"] == 4 and found.values["condition"] > 1e10
+    (one, first), (two, second) = found.values["weakest"].items()
+    assert {one, two} == {"u", "v"}
+    assert first == pytest.approx(-second) and abs(first) == pytest.approx(math.sqrt(0.5))
+
+
+def test_every_silent_input_is_named():
+    x, u = samples()
+    found = judge(LIBRARY, x, 0 * u)
+    assert found.values["rank"] == 3 and found.values["weakest"] == {"u": 1.0, "v": 1.0}
+
+
+def test_small_swings_and_speeds_of_one_sign_are_named():
+    x, u = samples()
+    swing = Library(SIGNATURE, [CONSTANT, variable("a"), of("sin", "a"), of("cos", "a")])
+    small = judge(swing, 1e-4 * x, u)
+    assert small.values["condition"] > 1e6 and set(small.values["weakest"]) <= {"1", "a", "sin(a)", "cos(a)"}
+    drag = Library(SIGNATURE, [variable("b"), of("abs", "b")])
+    one_signed = judge(drag, x.abs(), u)
+    assert one_signed.values["rank"] == 1 and set(one_signed.values["weakest"]) == {"b", "|b|"}
+    assert judge(drag, x, u).values["rank"] == 2

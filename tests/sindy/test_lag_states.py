@@ -27,8 +27,6 @@ DT, STEP = 0.02, 2 * math.pi / 4096
 WORDS = ["1", "q", "w", "u", "sin(q)", "u^2"]
 OVEN = Signature(("T",), ("degC",), ("u",), (120.0,))
 MINUTE = 10.0
-
-
 """Sampling time of the oven [s]."""
 
 
@@ -246,17 +244,3 @@ def test_states_that_follow_begin_where_the_log_had_them():
     found = lag_state_ranges(model, data)
     assert found[1] == (0.0, 0.75)
     assert found[2] == (pytest.approx(-10, rel=0.03), pytest.approx(0.0, abs=0.3))
-
-
-def behind(motor, samples):
-    """A wheel, w' = 8 a - 0.5 w, whose motor a lags its commands, which come some samples late; its log, and a."""
-    shown = levels(24, 20, seed=3)
-    acting = torch.cat([shown[:1].expand(samples, 1), shown])[: len(shown)]
-    left, driven = math.exp(-DT / motor), [0.0]
-    for held in acting[:, 0].tolist():
-        driven.append(held + (driven[-1] - held) * left)
-
-    def field(x, u):
-        return torch.stack([8 * x[1] - 0.5 * x[0], (u[0] - x[1]) / motor])
-
-    return Transitions.from_trajectory(moved(field, [0.0, 0.0], acting, DT)[:, :1], shown, DT), torch.tensor(driven)

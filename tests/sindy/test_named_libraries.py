@@ -84,11 +84,7 @@ def test_libraries_are_built_from_words_builders_and_libraries():
 AXIS = Signature(("a", "w"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
 MOTOR, SPRING, VISCOUS = 8.0, 2.5, 0.6
 COULOMB, EXTRA = {1: 1.5, -1: 0.9}, {1: 1.0, -1: 0.5}
-
-
 """Dry friction that turns one way and the other, and what sticking adds to it [rad/s^2]."""
-
-
 WIDTH, SLIP = 30.0, 4.0
 
 

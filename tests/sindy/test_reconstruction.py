@@ -113,7 +113,6 @@ def test_what_the_model_says_of_measured_states_does_not_lead():
 
 PERIOD, N = 0.02, 600
 ONE = Signature(("y",), ("-",), ("u",), (1.0,))
-TWO = Signature(("y", "v"), ("-", "-"), ("u",), (1.0, 1.0))
 
 
 def recorded(rate, size, columns, late=0, noise=0.0):

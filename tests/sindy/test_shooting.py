@@ -153,8 +153,6 @@ def test_steps_follow_the_fastest_rate(a, dt, steps):
 
 TANKS = Signature(("upper", "lower"), ("m", "m"), ("u",), (1.0, 1.0))
 FILL, OUT, IN, DRAIN = 0.30, 0.20, 0.25, 0.10
-
-
 """upper' = FILL u - OUT upper, lower' = IN upper - DRAIN lower [1/s]."""
 
 

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from dynasindy.findings import weak
 from dynasindy.sindy import Refinement, Regression, SindyModel, shooting, trajectory_fit
-from dynasindy.sindy.library import CONSTANT, Constraints, Library, parse, variable
+from dynasindy.sindy.library import CONSTANT, Constraints, Library, variable
 from dynasindy.sindy.reconstruction import RegressionData
 from dynasindy.sindy.shooting import Descent
 from dynasindy.sindy.trajectory_fit import refine_trajectory
@@ -143,12 +143,3 @@ def test_a_recording_may_be_of_fewer_windows_than_parts(monkeypatch):
     found.fit(recording(0))
     torch.testing.assert_close(found.coefficients, wanted.coefficients, rtol=1e-6, atol=1e-9)
     assert found.coefficients[:, 0].tolist()[:2] == pytest.approx([A, B], rel=0.1)
-
-
-ANGLE = Signature(("a", "w"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
-OVER = "per_cos2(~-0.03 a)"
-WORDS = ["w", "u", "sin(a)", *(f"{f} {OVER}" for f in ("w", "u", "sin(a)"))]
-
-
-def library(words=WORDS):
-    return Library(ANGLE, [parse(text) for text in words])

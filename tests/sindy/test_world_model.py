@@ -1,11 +1,18 @@
-"""What every world model is, and the one that is the plant itself."""
+"""Every world model, and its errors of prediction on plants whose motion is known in closed form."""
 
+import math
+
+import numpy as np
 import pytest
 import torch
 from alternating import Alternating
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from dynasindy.sindy import Oracle, SindyModel
-from dynasindy.systems import Tras, integrate
+from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
+from dynasindy.systems import Signature, System, Tras, integrate
+from dynasindy.systems.transitions import Transitions
 
 
 @pytest.mark.parametrize("make", [lambda p: Oracle(p.signature, p), lambda p: SindyModel(p.signature)])
@@ -30,3 +37,90 @@ def test_of_a_difference_equation_it_moves_by_its_steps():
     plant = Alternating()
     found = integrate(Oracle(plant.signature, plant), x, u, 1.0, 1)[0]
     assert found.flatten().tolist() == pytest.approx([0.56, -0.72])
+
+
+MATRIX = np.array([[0.0, 1.0], [-4.0, -0.4]])
+
+
+class Linear(System):
+    """x' = A x + (0, 3) u."""
+
+    def __init__(self, matrix):
+        super().__init__(Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0)))
+        self.matrix = torch.from_numpy(matrix)
+
+    def forward(self, x, u):
+        return x @ self.matrix.to(x).mT + torch.cat([torch.zeros_like(u), 3 * u], -1)
+
+
+def recording(dt: float = 0.1, seed: int = 0, n: int = 40) -> Transitions:
+    """Two segments of the exact motion under held inputs."""
+    step = expm(dt * np.block([[MATRIX, np.array([[0.0], [3.0]])], [np.zeros((1, 3))]]))
+    generator, parts = np.random.default_rng(seed), []
+    for _ in range(2):
+        u, states = generator.uniform(-1, 1, (n, 1)), [generator.normal(size=2)]
+        for held in u:
+            states.append(step[:2, :2] @ states[-1] + step[:2, 2:] @ held)
+        parts.append(Transitions.from_trajectory(torch.from_numpy(np.array(states)), torch.from_numpy(u), dt))
+    return Transitions.cat(parts)
+
+
+def test_the_true_model_errs_by_its_integration_only_and_that_by_fourth_order():
+    data = recording()
+    model = Linear(MATRIX)
+    coarse, fine = one_step_error(model, data), one_step_error(model, data, substeps=2)
+    assert float(coarse.max()) < 1e-4
+    assert bool(((coarse / fine > 12) & (coarse / fine < 20)).all())
+    assert float(nrmse(open_loop(model, data, substeps=20), data).max()) < 1e-8
+
+
+def test_the_error_of_a_wrong_model_is_that_of_its_matrix_exponential():
+    data, wrong = recording(), MATRIX + np.array([[0.0, 0.0], [0.5, 0.1]])
+    step = expm(0.1 * np.block([[wrong, np.array([[0.0], [3.0]])], [np.zeros((1, 3))]]))
+    predicted = data.x.numpy() @ step[:2, :2].T + data.u.numpy() @ step[:2, 2:].T
+    expected = np.sqrt(np.mean((predicted - data.x_next.numpy()) ** 2, 0)) / np.std(data.x_next.numpy(), 0, ddof=1)
+    assert np.allclose(one_step_error(Linear(wrong), data, substeps=10), expected, rtol=1e-6)
+
+
+def test_open_loop_starts_anew_with_each_segment_and_reads_inputs_only():
+    data, wrong = recording(), MATRIX + np.array([[0.0, 0.0], [0.5, 0.1]])
+    step = expm(0.1 * np.block([[wrong, np.array([[0.0], [3.0]])], [np.zeros((1, 3))]]))
+    expected = []
+    for k in range(80):
+        x = data.x[k].numpy() if k in (0, 40) else expected[-1]
+        expected.append(step[:2, :2] @ x + step[:2, 2:] @ data.u[k].numpy())
+    assert np.allclose(open_loop(Linear(wrong), data, substeps=10), expected, atol=1e-7)
+
+
+def swing() -> SindyModel:
+    """a' = b, b' = -9 sin a - 0.3 b + 2 u, as a sparse model."""
+    model = SindyModel(Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0)), ["b", "sin(a)", "u"])
+    model.set_coefficients(torch.tensor([[1.0, -0.3], [0.0, -9.0], [0.0, 2.0]]))
+    return model
+
+
+def solved(x0, inputs, dt) -> np.ndarray:
+    """States after each held input, by SciPy."""
+    states = [np.asarray(x0, dtype=float)]
+    for held in inputs:
+        ends = solve_ivp(
+            lambda t, x, u=held: [x[1], -9 * math.sin(x[0]) - 0.3 * x[1] + 2 * u],
+            (0, dt), states[-1], rtol=1e-11, atol=1e-12,
+        )  # fmt: skip
+        states.append(ends.y[:, -1])
+    return np.array(states)
+
+
+def test_substeps_of_predictions_and_simulations_approach_scipy_by_fourth_order():
+    model, inputs = swing(), [0.5, -1.0, 0.8]
+    x0, u = torch.tensor([[0.8, 0.5]], dtype=torch.float64), torch.tensor(inputs, dtype=torch.float64)
+    exact = solved([0.8, 0.5], inputs, 0.3)
+    errors = []
+    for substeps in (1, 2, 4, 32):
+        with torch.no_grad():
+            path = model.simulate(x0, u.reshape(1, 3, 1), 0.3, substeps)
+            once = model.predict(x0, u[:1].unsqueeze(0), 0.3, substeps)
+        assert path.shape == (1, 4, 2) and torch.equal(path[:, 0], x0) and torch.allclose(path[:, 1], once, rtol=1e-13)
+        errors.append(float((once[0] - torch.from_numpy(exact[1])).abs().max()))
+    assert np.allclose(path[0], exact, atol=1e-6)
+    assert all(9 < coarse / fine < 40 for coarse, fine in zip(errors[:2], errors[1:3])) and errors[3] < 1e-7

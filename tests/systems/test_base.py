@@ -1,8 +1,14 @@
+"""Signatures and systems."""
+
+import math
+
 import pytest
 import torch
 from alternating import Alternating
 
-from dynasindy.systems import Altered, Signature, Tras, integrate
+from dynasindy.rig.simulated import rehearsal
+from dynasindy.systems import Altered, BlackBox, Signature, Tras, integrate
+from dynasindy.systems.base import sample_states
 
 
 def test_signatures_are_alike_whatever_their_ranges():
@@ -48,3 +54,46 @@ def test_what_is_made_of_a_system_that_moves_in_steps_moves_in_its_steps():
     moved = integrate(Stronger(Alternating()), x, u, 1.0, 1)[0]
     assert float(moved[..., -1, :]) == pytest.approx(-0.6 * (-0.6 * 1.0 + 0.2) + 0.2, rel=1e-12)
     assert Altered.step.fget(Stronger(Tras())) is None
+
+
+SIGNATURE = Signature(("q", "v", "w"), ("m", "m/s", "1"), ("u",), (1.0, 1.0, 1.0))
+
+
+def test_a_limit_is_meant_for_both_sides_of_zero_and_a_start_for_a_value():
+    assert SIGNATURE.state_limits({"q": 2.0, "w": [-1, 3.5]}).tolist() == [
+        [-2.0, -math.inf, -1.0],
+        [2.0, math.inf, 3.5],
+    ]
+    assert SIGNATURE.start_ranges({"q": 2.0, "w": [-1, 3.5]}).tolist() == [[2.0, 0.0, -1.0], [2.0, 0.0, 3.5]]
+    assert SIGNATURE.state_limits({}).isinf().all()
+
+
+def test_states_are_drawn_evenly_between_their_ends():
+    ends, generator = SIGNATURE.start_ranges({"q": [1.0, 3.0], "v": 0.5}), torch.Generator().manual_seed(0)
+    x = sample_states(ends, torch.Size((4000,)), generator)
+    assert x.shape == (4000, 3) and x[:, 1].unique().tolist() == [0.5] and not x[:, 2].any()
+    assert float(x[:, 0].mean()) == pytest.approx(2.0, abs=0.05)
+    assert float(x[:, 0].var()) == pytest.approx(4 / 12, rel=0.05)  # of a uniform distribution, width^2 / 12
+    before = generator.get_state()
+    assert sample_states(SIGNATURE.start_ranges({"q": 1.0}), torch.Size(), generator).tolist() == [1.0, 0.0, 0.0]
+    assert torch.equal(before, generator.get_state())
+
+
+def test_names_units_and_ends_are_those_that_were_given_in_their_order():
+    plant = BlackBox({"h1": "cm", "h2": "cm"}, {"pump": [0, 12], "valve": [-1, 1]})
+    signature = plant.signature
+    assert signature.state_names == ("h1", "h2") and signature.state_units == ("cm", "cm")
+    assert signature.x_scale == (1.0, 1.0)  # as nobody knows how far they go
+    assert signature.input_names == ("pump", "valve") and signature.input_units == ()
+    assert signature.in_own_units([[0, 0], [1, 1]]).tolist() == [[0, 0], [12, 1]]  # zero is 0 V, as in a log
+    assert signature.input_limits == ((0.0, 1.0), (-1.0, 1.0))
+    assert BlackBox({"angle": "rad"}, ["motor"]).signature.input_ends == ()
+
+
+def test_nobody_knows_how_it_moves():
+    plant = BlackBox({"angle": "rad"}, ["motor"])
+    assert not plant.known
+    with pytest.raises(RuntimeError, match="knows"):
+        plant(torch.zeros(1), torch.zeros(1))
+    with pytest.raises(ValueError, match="udp"), rehearsal(plant, 0.05):
+        pass

@@ -1,21 +1,25 @@
-"""The controller in C flies plants behind sensors as the one in Python does."""
+"""The C of a controller and of a model act as they do in Python, and are compiled."""
 
 import copy
+import ctypes
 import math
 import os
 import re
 import subprocess
 
+import jinja2
 import numpy as np
 import pytest
 import torch
 
-from dynasindy.agents.networks import actor
+from dynasindy.agents import actor
 from dynasindy.control import Controller, Observer, load, save
+from dynasindy.control.c_code import fill
 from dynasindy.control.controller import ControlSetup
 from dynasindy.envs import Sensors, Step, Tracking, TrackingReward
-from dynasindy.export import Native, controller_sources
+from dynasindy.export import Native, controller_sources, model_sources
 from dynasindy.sindy import SindyModel
+from dynasindy.sindy.formulas import comment, number
 from dynasindy.systems import Pendulum, Signature, Stops, Tras, integrate
 from dynasindy.systems.compiler import compile_library, compiler
 
@@ -327,3 +331,127 @@ def test_so_many_states_that_a_call_would_overflow_the_stack_are_refused():
     policy = actor(task.n_o, 1, (4, 4)).requires_grad_(False)
     with pytest.raises(ValueError, match="stack"):
         controller_sources(Controller(policy, setup, watching))
+
+
+WORDS = ["1", "a", "a |a| b", "sign(b)", "exp(-(2 a)^2)", "sqrt(b - 0.3)", "max(0, a - -0.2)", "b /(1 + 3 cos(a)^2)"]
+
+
+def compiled(sources, folder, result="dx"):
+    for name, text in sources.files().items():
+        (folder / name).write_text(text)
+    call = getattr(
+        ctypes.CDLL(str(compile_library([folder / f"{sources.name}.c"], folder / "m.so"))), f"{sources.name}_{result}"
+    )
+
+    def field(x, u, n):
+        dx = (ctypes.c_double * n)()
+        call((ctypes.c_double * len(x))(*x), (ctypes.c_double * max(1, len(u)))(*u), dx)
+        return list(dx)
+
+    return field
+
+
+@needs_compiler
+def test_it_computes_what_the_library_computes(tmp_path):
+    model = SindyModel(Signature(("a", "b"), ("-", "-"), ("c",), (1.0, 1.0)), WORDS)
+    table = np.random.default_rng(1).standard_normal((len(WORDS), 2))
+    model.set_coefficients(torch.from_numpy(table))
+    model.delay = 0.25
+    sources = model_sources(model, "m1")
+    field = compiled(sources, tmp_path)
+    for x in np.random.default_rng(2).uniform(-1, 1, (20, 2)):
+        expected = model.library(torch.from_numpy(x), torch.zeros(1)).numpy() @ table
+        assert field(x, [0.0], 2) == pytest.approx(list(expected), rel=1e-12, abs=1e-14)
+    assert "Inputs act 0.25 s after they are given" in " ".join(sources.header.split())
+    for special in (-np.inf, np.nan):
+        ours = np.array(field([0.1, special], [0.0], 2))
+        with np.errstate(invalid="ignore"):
+            theirs = model.library(torch.tensor([0.1, special]), torch.zeros(1)).numpy() @ table
+        assert (np.isfinite(ours) == np.isfinite(theirs)).all()
+
+
+@needs_compiler
+def test_without_terms_or_inputs_it_compiles_too(tmp_path):
+    model = SindyModel(Signature(("a",), ("-",), (), (1.0,)), ["a"])
+    assert compiled(model_sources(model), tmp_path)([2.0], [], 1) == [0.0]
+
+
+@needs_compiler
+def test_hostile_names_are_comments_and_places_alone(pendulum_model, hostile, tmp_path):
+    sources = model_sources(pendulum_model(hostile))
+    assert compiled(sources, tmp_path)([0.0, 0.0], [0.5], 2) == [0.0, 4.0]
+    bare = re.sub(r"/\*.*?\*/", "", sources.header, flags=re.S)
+    assert "model_x_int = 0" in bare and "f()" not in bare
+
+
+@needs_compiler
+def test_a_difference_equation_is_what_comes_next(pendulum_model, tmp_path):
+    """theta+ = theta + 0.05 Omega and Omega+ = Omega + 0.05 (8 u - 0.6 Omega - 2.5 tanh(3.7 theta) ...)."""
+    sources = model_sources(pendulum_model(step=0.05))
+    assert "x[k+1] = F(x[k], u[k])" in sources.header and "A step takes 0.05 s" in " ".join(sources.header.split())
+    following = compiled(sources, tmp_path, "next")
+    theta, omega, u = 0.4, -1.5, 0.3
+    push = 8 * u - 0.6 * omega - 2.5 * math.tanh(3.7 * theta) - 6 * math.sin(theta) - 0.04 * omega * abs(omega)
+    assert following([theta, omega], [u], 2) == pytest.approx([theta + 0.05 * omega, omega + 0.05 * push], rel=1e-12)
+
+
+def test_identifiers_are_of_ascii_letters_and_differ():
+    names = ("a b", "a_b", "a.b", "a_b_2", "Ωmega", "int")
+    model = SindyModel(Signature(names, ("-",) * 6, ("u",), (1.0,) * 6), ["u"])
+    found = re.findall(r"^ *model_x_(.*) = \d", model_sources(model).header, re.M)
+    assert found[0] == "a_b" and found[-1] == "int"
+    assert len(set(found)) == 6
+    assert all(re.fullmatch(r"[A-Za-z0-9_]+", word) for word in found)
+
+
+@pytest.mark.parametrize(
+    "words", ["*/ int f() /*", "/*/", "*/*/*", "*°/", "a\\", "a\nb", "a??/", "·/", "/·", "\x00", "³·/²"]
+)
+def test_no_words_end_a_comment_or_begin_one(words):
+    shown = comment(words)
+    assert "*/" not in shown and "/*" not in shown and not set("\\\n?\x00") & set(shown)
+    assert shown.isascii() and comment(shown) == shown
+
+
+def test_a_number_is_exact_and_finite():
+    for value in (0.1, -1e-300, 3, 1 / 3, 5e22):
+        assert float(number(value).strip("()")) == value
+    assert number(-2.5) == "(-2.5)"
+    with pytest.raises(ValueError, match=r"inf .*finite"):
+        number(math.inf)
+    with pytest.raises(ValueError, match="nan stands"):
+        number(math.nan)
+    with pytest.raises(ValueError, match="could not convert"):
+        number("system()")
+
+
+@pytest.mark.parametrize("name", ["", "1a", "a-b", "a b", "a" * 32, "é", "a\n"])
+def test_what_begins_no_name_of_c_is_refused(name):
+    with pytest.raises(ValueError, match="letter"):
+        model_sources(SindyModel(Pendulum().signature, ["u"]), name)
+
+
+def test_what_is_filled_in_is_not_looked_at_again():
+    with pytest.raises(jinja2.UndefinedError):
+        fill("model.h", name="m")
+    text = fill("model.h", name="m", kind="{{ 1 + 1 }}", about=["@ if x"], places=["m_x_a = 0"], head="void f(void)")
+    assert "{{ 1 + 1 }}" in text and " * @ if x\n" in text
+
+
+@needs_compiler
+def test_two_controllers_of_one_name_live_side_by_side(pendulum):
+    one, other = (Native(controller_sources(pendulum(observer=False, integral=i))) for i in (None, {"gain": 5.0}))
+    first = [one.act([0.1, 0.0], [0.12])[0], other.act([0.1, 0.0], [0.12])[0]]
+    assert first[0] == first[1]
+    assert one.act([0.1, 0.0], [0.12])[0] == first[0]
+    assert other.act([0.1, 0.0], [0.12])[0] != first[1]
+    with pytest.raises(ValueError, match=r"1 .* where 2"):
+        one.act([0.1], [0.12])
+
+
+@needs_compiler
+def test_calls_that_are_timed_are_forgotten(pendulum):
+    one = Native(controller_sources(pendulum(observer=False, integral={})))
+    first = one.act([0.1, 0.0], [0.12])
+    assert one.microseconds() > 0
+    assert one.act([0.1, 0.0], [0.12]) == first
