@@ -6,7 +6,6 @@ list of instructions, each of which is done for many rows at once.
 
 from __future__ import annotations
 
-import ast
 import ctypes
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,13 +18,10 @@ from torch import Tensor
 from dynasindy.systems.compiler import addresses, c_text, load_library
 from dynasindy.systems.machine import Program
 from dynasindy.systems.steps import steps_of
-from dynasindy.systems.tangents import FORMULA_FUNCTIONS, Tangents, parsed
+from dynasindy.systems.tangents import OPERATIONS, ExpressionGraph
 
 WIDTH = 16
 """Rows that are handled at once."""
-OPERATIONS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.USub)
-CALLS = (*FORMULA_FUNCTIONS, "exceeds")
-"""What instructions do, operators first, in the order of `c/interpreter.c`."""
 
 
 def simulate_program(
@@ -155,59 +151,25 @@ class _Listing:
     """
 
     def __init__(self, program: Program, constants: int, shapes: tuple[int | None, ...] | None) -> None:
-        n_x, names, lines = program.n_x, {name for name, _ in program.lines}, program.lines
-        results, rows = list(program.results), list[dict[int, str]]()
+        n_x, known = program.n_x, [f"x[{i}]" for i in range(program.n_x)] + [f"u[{j}]" for j in range(program.n_u)]
+        variables: dict[str, int | None] = dict.fromkeys(known)
         if shapes is not None:
-            numbered = {f"x[{i}]": i for i in range(n_x)}
-            numbered |= {f"k[{k}]": n_x + s for s, k in enumerate(shapes) if k is not None}
-            tangents = Tangents(numbered, [f"u[{j}]" for j in range(program.n_u)])
-            for name, formula in lines:
-                tangents.line(name, formula)
-            results, rows = map(list, zip(*(tangents.last(result) for result in program.results), strict=True))
-            lines = tuple(tangents.lines)
-        slopes = [(k, variable, parsed(text)) for k, row in enumerate(rows) for variable, text in sorted(row.items())]
-        values = [parsed(text) for text in results]
-        trees = [(name, parsed(formula)) for name, formula in lines]
-        whole = [*(tree for _, tree in trees), *values, *(tree for *_, tree in slopes)]
-        found = (number for tree in whole for n in ast.walk(tree) if (number := _number(n)) is not None)
-        self.numbers, self._code = tuple(dict.fromkeys(found)), list[tuple[int, int, int, int]]()
-        known = [f"x[{i}]" for i in range(n_x)] + [f"u[{j}]" for j in range(program.n_u)]
+            variables |= {f"x[{i}]": i for i in range(n_x)}
+            variables |= {f"k[{k}]": n_x + s for s, k in enumerate(shapes) if k is not None}
+        graph = ExpressionGraph(variables, program.lines, program.results)
+        values, slopes = graph.needed(graph.results), graph.needed(place for *_, place in graph.entries)
+        leaves = [graph.nodes[place][0] for place in dict.fromkeys((*values, *slopes)) if not graph.nodes[place][1]]
+        self.numbers = tuple(float(text) for text in leaves if text[0] not in "xuk")
         known += [*(f"k[{k}]" for k in range(constants)), *map(repr, self.numbers)]
-        self._place_of, self.values = {name: place for place, name in enumerate(known)}, len(known)
-        for own in (True, False):  # the values of the functions, the functions, then what slopes are made of
-            for name, tree in trees:
-                if (name in names) == own:
-                    self._place_of[name] = self._place(tree)
-            if own:
-                self.functions = torch.tensor([self._place(tree) for tree in values])
-                self.first = len(self._code)
-        table = torch.tensor([(k, v, self._place(tree)) for k, v, tree in slopes]).reshape(-1, 3).long()
+        places, code = {graph.node(text): k for k, text in enumerate(known)}, list[tuple[int, int, int, int]]()
+        for place in (*values, *slopes):
+            operation, operands = graph.nodes[place]
+            if place not in places:
+                code.append((OPERATIONS.index(operation), places[operands[0]], places[operands[-1]], len(places)))
+                places[place] = len(places)
+        self.first, self.values = sum(bool(graph.nodes[place][1]) for place in values), len(places)
+        self.functions = torch.tensor([places[place] for place in graph.results])
+        table = torch.tensor([(k, v, places[place]) for k, v, place in graph.entries]).reshape(-1, 3).long()
         self.by_state = table[table[:, 1] < n_x].mT
         self.by_shape = (table[table[:, 1] >= n_x] - torch.tensor([0, n_x, 0])).mT
-        self.shapes, self.code = len(shapes or ()), torch.tensor(self._code, dtype=torch.int32).reshape(-1, 4)
-
-    def _place(self, node: ast.expr) -> int:
-        """Return where a formula's value is, once what computes it is in the list."""
-        text = ast.unparse(node) if (number := _number(node)) is None else repr(number)
-        if text in self._place_of:
-            return self._place_of[text]
-        match node:
-            case ast.BinOp(left, operator, right) if type(operator) in OPERATIONS:
-                own, operands = OPERATIONS.index(type(operator)), [left, right]
-            case ast.UnaryOp(ast.USub(), operand):
-                own, operands = OPERATIONS.index(ast.USub), [operand]
-            case ast.Call(ast.Name(name), operands) if name in CALLS:
-                own = len(OPERATIONS) + CALLS.index(name)
-            case _:
-                raise ValueError(f"{text[:60]!r} is no part of a formula")
-        first, *others = map(self._place, operands)
-        place = self._place_of[text] = self.values
-        self.values += 1
-        self._code.append((own, first, others[0] if others else first, place))
-        return place
-
-
-def _number(node: ast.AST) -> float | None:
-    """Return the number that a part of a formula is; None if it is none."""
-    value = node.value if isinstance(node, ast.Constant) else None
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+        self.shapes, self.code = len(shapes or ()), torch.tensor(code, dtype=torch.int32).reshape(-1, 4)

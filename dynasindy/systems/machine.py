@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import chain
 from typing import Any
 
 import torch
@@ -20,7 +19,7 @@ from torch import Tensor
 
 from dynasindy.systems.compiler import addresses, c_text, load_library
 from dynasindy.systems.steps import Stops, steps_of
-from dynasindy.systems.tangents import Tangents
+from dynasindy.systems.tangents import ExpressionGraph
 
 SINGLE = {
     "sin": "sine",
@@ -36,10 +35,7 @@ WIDTH = 32
 MANY = 512
 """Derivatives of so many states by state and input are handled for several rows at once, as they stay in a cache."""
 FREE = Stops((), (), (), ())
-_CALLED = re.compile(rf"\b({'|'.join(SINGLE)})\(")
-_STATE = re.compile(r"\b([xu])\[(\d+)\]")
-_NAME = re.compile(r"[A-Za-z_]\w*")
-_FRACTION = re.compile(r"(?<![\w.])(\d+\.\d*(?:e[-+]?\d+)?|\d+e[-+]?\d+)")
+_STATE = re.compile(r"([xu])\[(\d+)\]")
 
 
 @dataclass(frozen=True)
@@ -199,18 +195,28 @@ def _rows(n_x: int, n_u: int, width: int) -> int:
 
 @lru_cache(maxsize=128)
 def _source(program: Program, width: int, single: bool) -> str:
-    """Return the C text of a program, its constants left out; every word of it is one that `Tangents` knows."""
+    """Return the C text of a program, its constants left out; every word of it is one that the graph knows."""
     names = [f"x[{i}]" for i in range(program.n_x)] + [f"u[{j}]" for j in range(program.n_u)]
-    tangents = Tangents({name: number for number, name in enumerate(names)})
-    for name, formula in program.lines:
-        tangents.line(name, formula)
-    found = [tangents.last(result) for result in program.results]
-    entries = [(i, column, text) for i, (_, row) in enumerate(found) for column, text in sorted(row.items())]
-    entries = entries or [(0, 0, "0.0")]  # C has no empty arrays
-    rates = [f"f[{i} * W + r] = {text};" for i, (text, _) in enumerate(found)]
-    values = {name for name, _ in program.lines}
-    slopes = [f"j[{p} * W + r] = {text};" for p, (_, _, text) in enumerate(entries)]
-    read = chain((text for name, text in tangents.lines if name not in values), (text for _, _, text in entries))
+    graph = ExpressionGraph({name: number for number, name in enumerate(names)}, program.lines, program.results)
+    entries = graph.entries or [(0, 0, graph.node("0.0"))]  # C has no empty arrays
+    rows, columns, slopes = zip(*entries, strict=True)
+
+    def text(place: int) -> str:
+        leaf, operands = graph.nodes[place]
+        return f"v{place}" if operands else _STATE.sub(r"\1[\2 * W + r]", leaf) if leaf[0] in "xuk" else f"(real){leaf}"
+
+    def body(places: Iterable[int], results: Sequence[str]) -> str:
+        statements = list[str]()
+        for place in graph.needed(places):
+            operation, operands = graph.nodes[place]
+            first, *others = map(text, operands or (place,))
+            called = SINGLE.get(operation, operation) if single else operation
+            formula = f"-{first}" if operation == "neg" else f"{called}({', '.join([first, *others])})"
+            formula = f"{first} {operation} {others[0]}" if operation in "+-*/" else formula
+            statements += [f"const real v{place} = {formula};"] * bool(operands)
+        return "\n".join(f"        {statement}" for statement in [*statements, *results])
+
+    rates = [f"f[{i} * W + r] = {text(place)};" for i, place in enumerate(graph.results)]
     words = {
         "real": "float" if single else "double",
         "single": int(single),
@@ -219,20 +225,12 @@ def _source(program: Program, width: int, single: bool) -> str:
         "n_u": program.n_u,
         "n_slopes": len(entries),
         "stages": 4 if program.step is None else 1,
-        "affine": int(values.union("xu").isdisjoint(name for text in read for name in _NAME.findall(text))),
-        "rates": _body([line for line in tangents.lines if line[0] in values], rates, single),
-        "slopes": _body(tangents.lines, [*rates, *slopes], single),
-        "slope_rows": ", ".join(str(i) for i, _, _ in entries),
-        "slope_columns": ", ".join(str(column) for _, column, _ in entries),
+        "affine": int(not any(_STATE.match(graph.nodes[place][0]) for place in graph.needed(slopes))),
+        "rates": body(graph.results, rates),
+        "slopes": body(
+            [*graph.results, *slopes], rates + [f"j[{p} * W + r] = {text(at)};" for p, at in enumerate(slopes)]
+        ),
+        "slope_rows": ", ".join(map(str, rows)),
+        "slope_columns": ", ".join(map(str, columns)),
     }
-    text = c_text("systems", "period.c")
-    return re.sub(r"@(\w+)@", lambda gap: str(words[gap[1]]), text)
-
-
-def _body(lines: Sequence[tuple[str, str]], results: Sequence[str], single: bool) -> str:
-    """Return values and results as statements of C."""
-    statements = [*(f"const real {name} = {formula};" for name, formula in lines), *results]
-    text = "\n".join(f"        {statement}" for statement in statements)
-    if single:
-        text = _CALLED.sub(lambda call: f"{SINGLE[call[1]]}(", text)
-    return _FRACTION.sub(r"(real)\1", _STATE.sub(r"\1[\2 * W + r]", text))
+    return re.sub(r"@(\w+)@", lambda gap: str(words[gap[1]]), c_text("systems", "period.c"))

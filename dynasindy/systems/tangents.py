@@ -1,4 +1,4 @@
-"""Derivatives of formulas: from straight-line code of values to straight-line code of values and slopes.
+"""Derivatives of formulas: values and slopes in one graph, from which C text and instructions are made.
 
 Formulas are in operators, numbers and `FORMULA_FUNCTIONS`, as `dynasindy.sindy.codegen` writes them. Every value
 carries the derivatives that are not zero, by the variables that it depends on (forward mode). They call one function
@@ -11,128 +11,133 @@ import ast
 import math
 import re
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 
-Slopes = dict[int, str]
-"""Text of each derivative that is not zero, by the number of the variable."""
+Slopes = dict[int, int]
+"""Place of each derivative that is not zero, by the number of the variable."""
 
 FORMULA_FUNCTIONS = ("sin", "cos", "exp", "tanh", "sqrt", "fabs", "sign", "square", "larger")
 """What a formula may call: functions of C's <math.h>, and the sign, the square, and the larger one of two."""
-_SLOPE = {
-    "sin": "cos({0})",
-    "cos": "-sin({0})",
-    "exp": "exp({0})",
-    "tanh": "(1 - square(tanh({0})))",
-    "sqrt": "(0.5 / sqrt({0}))",
-    "fabs": "sign({0})",
-    "square": "(2 * {0})",
+_OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+OPERATIONS = (*_OPERATORS.values(), "neg", *FORMULA_FUNCTIONS, "exceeds")
+"""What values are computed by, operators first, in the order of `c/interpreter.c`."""
+_SLOPE: dict[str, Callable[[Callable[..., int], int], int]] = {
+    "sin": lambda node, a: node("cos", a),
+    "cos": lambda node, a: node("neg", node("sin", a)),
+    "exp": lambda node, a: node("exp", a),
+    "tanh": lambda node, a: node("-", node("1.0"), node("square", node("tanh", a))),
+    "sqrt": lambda node, a: node("/", node("0.5"), node("sqrt", a)),
+    "fabs": lambda node, a: node("sign", a),
+    "square": lambda node, a: node("*", node("2.0"), a),
 }
 _ARGUMENTS = {**dict.fromkeys(_SLOPE, 1), "sign": 1, "larger": 2, "exceeds": 2}
 _CONSTANT = re.compile(r"k\[\d+\]")
-_NAME = re.compile(r"[a-z]\w*", re.ASCII)
 
 
-class Tangents:
-    """Differentiate formulas line by line.
+class ExpressionGraph:
+    """Values of formulas and their derivatives, each of them once.
 
     Args:
-        variables: number of each variable, by its text, e.g. `{"x[0]": 0, "u[0]": 1}`.
-        others: texts of those by which nothing is differentiated.
+        variables: number of each variable, by its text, e.g. `{"x[0]": 0, "u[0]": 1}`; None of one by which nothing is
+            differentiated.
+        lines: name and formula of values that others have by their names.
+        results: formulas of what is wanted.
 
     Attributes:
-        lines: name and formula of every value and slope, in the order in which they are computed.
+        nodes: operation and operands of each value, which stand before it; the text of a variable, a constant or a
+            number, which has no operands.
+        slopes: those of each value of a formula, by its place.
+        results: places of the results.
+        entries: row, variable and place of each derivative of a result that is not zero.
+
+    Raises:
+        ValueError: A formula holds something else than operators, numbers, what has a name, constants and functions.
     """
 
-    def __init__(self, variables: Mapping[str, int], others: Sequence[str] = ()) -> None:
-        self.lines: list[tuple[str, str]] = []
-        self._slopes: dict[str, Slopes] = {text: {number: "1"} for text, number in variables.items()}
-        self._slopes |= {text: {} for text in others}
+    def __init__(
+        self, variables: Mapping[str, int | None], lines: Iterable[tuple[str, str]], results: Iterable[str]
+    ) -> None:
+        self.nodes: list[tuple[str, tuple[int, ...]]] = []
+        self._places: dict[tuple[str, tuple[int, ...]], int] = {}
+        self._one, self._named = self.node("1.0"), {text: self.node(text) for text in variables}
+        numbered = ((self._named[text], number) for text, number in variables.items())
+        self.slopes: dict[int, Slopes] = {
+            place: {} if number is None else {number: self._one} for place, number in numbered
+        }
+        for name, formula in lines:
+            self._named[name] = self._value(parsed(formula))
+        self.results = [self._value(parsed(formula)) for formula in results]
+        rows = (sorted(self.slopes[place].items()) for place in self.results)
+        self.entries = [(row, *entry) for row, entries in enumerate(rows) for entry in entries]
 
-    def line(self, name: str, formula: str) -> None:
-        """Add a value and its derivatives.
+    def node(self, operation: str, *operands: int) -> int:
+        """Return the place of what an operation gives."""
+        place = self._places.setdefault((operation, operands), len(self.nodes))
+        if place == len(self.nodes):
+            self.nodes.append((operation, operands))
+        return place
 
-        Raises:
-            ValueError: The name is none, or the formula holds something that does not belong there.
-        """
-        if not _NAME.fullmatch(name):
-            raise ValueError(
-                f"{name[:60]!r} is no name of a value; allowed are a small letter, letters, digits and '_'"
-            )
-        value, slopes = self._of(parsed(formula))
-        self.lines.append((name, value))
-        self._slopes[name] = {number: self._kept(f"{name}_{number}", text) for number, text in slopes.items()}
+    def _value(self, tree: ast.expr) -> int:
+        """Return the place of the value of a formula, once its slopes are there, too."""
+        text, operands = ast.unparse(tree), list[ast.expr]()
+        match tree:
+            case _ if text in self._named:
+                return self._named[text]
+            case ast.Constant(number) if type(number) in (int, float) and math.isfinite(float(text)):
+                operation = repr(float(text))
+            case ast.UnaryOp(ast.USub(), operand):
+                operation, operands = "neg", [operand]
+            case ast.BinOp(left, operator, right) if type(operator) in _OPERATORS:
+                operation, operands = _OPERATORS[type(operator)], [left, right]
+            case ast.Call(ast.Name(operation), operands) if len(operands) == _ARGUMENTS.get(operation):
+                pass
+            case _ if _CONSTANT.fullmatch(text):
+                operation = text
+            case _:
+                raise ValueError(f"{text[:60]!r} is no part of a formula")
+        place = self.node(operation, *(places := [self._value(operand) for operand in operands]))
+        if place not in self.slopes:
+            self.slopes[place] = self._differentiate(place, operation, places)
+        return place
 
-    def last(self, formula: str) -> tuple[str, Slopes]:
-        """Return the text of a formula of what was added before, and those of its derivatives.
+    def needed(self, places: Iterable[int]) -> list[int]:
+        """Return the places of values and of all that they are made of, in the order in which they can be computed."""
+        found, left = set[int](), [*places]
+        while left:
+            if (place := left.pop()) not in found:
+                found.add(place)
+                left += self.nodes[place][1]
+        return sorted(found)
 
-        Raises:
-            ValueError: It holds something else than operators, numbers, what was added, constants and functions.
-        """
-        return self._of(parsed(formula))
+    def _differentiate(self, place: int, operation: str, operands: list[int]) -> Slopes:
+        node, inner = self.node, [self.slopes[operand] for operand in operands]
+        if not any(inner):
+            return {}
+        match operation, operands:
+            case "neg", _:
+                return {n: node("neg", slope) for n, slope in inner[0].items()}
+            case "+", _:
+                return self._added(*inner)
+            case "-", _:
+                return self._added(inner[0], {n: node("neg", slope) for n, slope in inner[1].items()})
+            case "*", (a, b):
+                return self._added(self._scaled(a, b), self._scaled(b, a))
+            case "/", (a, b):
+                shrunk = {n: node("/", node("*", node("neg", place), slope), b) for n, slope in inner[1].items()}
+                return self._added({n: node("/", slope, b) for n, slope in inner[0].items()}, shrunk)
+            case "larger", (a, b):
+                first = node("exceeds", a, b)
+                return self._added(self._scaled(a, first), self._scaled(b, node("-", self._one, first)))
+            case _, (a,) if operation in _SLOPE:
+                return self._scaled(a, _SLOPE[operation](node, a))
+        return {}
 
-    def _kept(self, name: str, text: str) -> str:
-        """Give a text a name, unless it is one or a number."""
-        if text.replace("_", "").isalnum():
-            return text
-        self.lines.append((name, text))
-        return name
+    def _scaled(self, place: int, factor: int) -> Slopes:
+        slopes = self.slopes[place].items()
+        return {n: factor if slope == self._one else self.node("*", slope, factor) for n, slope in slopes}
 
-    def _of(self, node: ast.expr) -> tuple[str, Slopes]:
-        """Return the text of a formula and those of its derivatives."""
-        text = ast.unparse(node)
-        if isinstance(node, ast.Constant) and type(node.value) in (int, float) and math.isfinite(float(text)):
-            return repr(float(text)), {}  # a quotient of whole numbers is a whole number in C
-        if text in self._slopes or _CONSTANT.fullmatch(text):
-            return text, self._slopes.get(text, {})
-        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
-            value, slopes = self._of(node.operand)
-            return f"(-{value})", {number: f"(-{slope})" for number, slope in slopes.items()}
-        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub | ast.Mult | ast.Div):
-            return self._pair(node.op, self._of(node.left), self._of(node.right))
-        if (
-            isinstance(node, ast.Call)
-            and isinstance(node.func, ast.Name)
-            and len(node.args) == _ARGUMENTS.get(node.func.id)
-        ):
-            return self._call(node.func.id, [self._of(argument) for argument in node.args])
-        raise ValueError(f"{text[:60]!r} is no part of a formula")
-
-    def _pair(self, operator: ast.operator, left: tuple[str, Slopes], right: tuple[str, Slopes]) -> tuple[str, Slopes]:
-        (a, da), (b, db) = left, right
-        if isinstance(operator, ast.Add | ast.Sub):
-            sign = "+" if isinstance(operator, ast.Add) else "-"
-            slopes = {n: f"({da[n]} {sign} {db[n]})" if n in da and n in db else da.get(n, "") for n in {**da, **db}}
-            slopes = {n: text or (db[n] if sign == "+" else f"(-{db[n]})") for n, text in slopes.items()}
-            return f"({a} {sign} {b})", slopes
-        if isinstance(operator, ast.Mult):
-            parts = [_scaled(da, b), _scaled(db, a)]
-            return f"({a} * {b})", _added(parts)
-        value = f"({a} / {b})"
-        shrunk = {n: f"(-{value} * {slope} / {b})" for n, slope in db.items()}
-        return value, _added([{n: f"({slope} / {b})" for n, slope in da.items()}, shrunk])
-
-    def _call(self, name: str, arguments: Sequence[tuple[str, Slopes]]) -> tuple[str, Slopes]:
-        text = f"{name}({', '.join(value for value, _ in arguments)})"
-        if name in ("sign", "exceeds"):
-            return text, {}
-        if name == "larger":
-            (a, da), (b, db) = arguments
-            first = f"exceeds({a}, {b})"
-            return text, _added([_scaled(da, first), _scaled(db, f"(1 - {first})")])
-        ((argument, inner),) = arguments
-        return text, _scaled(inner, _SLOPE[name].format(argument))
-
-
-def _scaled(slopes: Slopes, factor: str) -> Slopes:
-    return {number: factor if slope == "1" else f"({slope} * {factor})" for number, slope in slopes.items()}
-
-
-def _added(parts: Sequence[Slopes]) -> Slopes:
-    total: Slopes = {}
-    for part in parts:
-        for number, slope in part.items():
-            total[number] = f"({total[number]} + {slope})" if number in total else slope
-    return total
+    def _added(self, first: Slopes, second: Slopes) -> Slopes:
+        return {**first, **second} | {n: self.node("+", first[n], second[n]) for n in first.keys() & second}
 
 
 _ALONE = threading.Lock()

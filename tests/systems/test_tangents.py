@@ -5,7 +5,7 @@ import math
 import pytest
 import sympy
 
-from dynasindy.systems.tangents import Tangents
+from dynasindy.systems.tangents import ExpressionGraph
 
 KNOWN = {
     "square": lambda v: v * v,
@@ -25,8 +25,21 @@ SYMBOLIC = {
 POINT = {"a": 0.7, "b": -1.3, "c": 2.1}
 
 
-def evaluated(text, values):
-    return eval(text, {}, {**KNOWN, **values})
+INFIX = {"+": float.__add__, "-": float.__sub__, "*": float.__mul__, "/": float.__truediv__, "neg": float.__neg__}
+
+
+def evaluated(graph, values):
+    """The number at each place of a graph."""
+    found = []
+    for operation, operands in graph.nodes:
+        given = [found[place] for place in operands]
+        known = INFIX.get(operation) or KNOWN.get(operation)
+        found.append(float(known(*given) if operands else values.get(operation) or float(operation)))
+    return found
+
+
+def graph_of(*formulas, lines=()):
+    return ExpressionGraph({name: k for k, name in enumerate(POINT)}, lines, formulas)
 
 
 @pytest.mark.parametrize(
@@ -47,32 +60,33 @@ def evaluated(text, values):
     ],
 )
 def test_slopes_equal_those_of_sympy(formula):
-    tangents = Tangents({name: k for k, name in enumerate(POINT)})
-    tangents.line("v0", formula)
-    tangents.line("v1", "v0 * v0 - a / v0")
-    values = dict(POINT)
-    for name, text in tangents.lines:
-        values[name] = evaluated(text, values)
+    graph = graph_of("v0", "v1", "v0 * c", lines=(("v0", formula), ("v1", "v0 * v0 - a / v0")))
+    numbers = evaluated(graph, POINT)
     symbols = {name: sympy.Symbol(name, real=True) for name in POINT}
     first = eval(formula, {}, {**SYMBOLIC, **symbols})
-    for text, whole in (("v0", first), ("v1", first**2 - symbols["a"] / first), ("v0 * c", first * symbols["c"])):
-        slopes = tangents.last(text)[1]
+    at = {symbols[name]: value for name, value in POINT.items()}
+    slopes = {(row, k): numbers[place] for row, k, place in graph.entries}
+    for row, whole in enumerate((first, first**2 - symbols["a"] / first, first * symbols["c"])):
+        assert numbers[graph.results[row]] == pytest.approx(float(whole.subs(at).evalf()), rel=1e-12)
         for k, name in enumerate(POINT):
-            wanted = float(
-                sympy.diff(whole, symbols[name]).subs({symbols[key]: value for key, value in POINT.items()}).evalf()
-            )
-            found = float(evaluated(slopes[k], values)) if k in slopes else 0.0
-            assert found == pytest.approx(wanted, rel=1e-12, abs=1e-12), (text, name)
+            wanted = float(sympy.diff(whole, symbols[name]).subs(at).evalf())
+            assert slopes.get((row, k), 0.0) == pytest.approx(wanted, rel=1e-12, abs=1e-12), (row, name)
 
 
 def test_only_what_a_value_depends_on_has_a_slope():
-    tangents = Tangents({"a": 0, "b": 1})
-    tangents.line("v0", "sin(a) * k[0]")
-    assert set(tangents.last("v0 + 2.0")[1]) == {0}
-    assert set(tangents.last("b - v0")[1]) == {0, 1}
-    assert tangents.last("k[12] * 3")[1] == {}
-    assert tangents.last("sign(a)")[1] == {}
-    assert tangents.last("b")[1] == {1: "1"}
+    graph = graph_of("v0 + 2.0", "b - v0", "k[12] * 3", "sign(a)", "b", lines=(("v0", "sin(a) * k[0]"),))
+    assert {(row, k) for row, k, _ in graph.entries} == {(0, 0), (1, 0), (1, 1), (4, 1)}
+    assert graph.nodes[graph.entries[-1][2]] == ("1.0", ())
+
+
+def test_each_value_is_there_once_and_behind_what_it_is_made_of():
+    graph = graph_of("sin(a) * b + sin(a)", "cos(a) * b")
+    assert len(graph.nodes) == len(set(graph.nodes))
+    assert [operation for operation, _ in graph.nodes].count("cos") == 1  # a slope of the first is part of the second
+    for place, (_, operands) in enumerate(graph.nodes):
+        assert all(operand < place for operand in operands)
+    assert graph.needed(graph.results[:1]) == sorted(graph.needed(graph.results[:1]))
+    assert "cos" not in {graph.nodes[place][0] for place in graph.needed(graph.results[:1])}
 
 
 @pytest.mark.parametrize(
@@ -95,17 +109,18 @@ def test_only_what_a_value_depends_on_has_a_slope():
     ],
 )
 def test_a_formula_holds_nothing_else(formula):
-    tangents = Tangents({"a": 0, "b": 1})
     with pytest.raises(ValueError, match="formula"):
-        tangents.line("v0", formula)
+        graph_of("v0", lines=(("v0", formula),))
 
 
 def test_whole_numbers_divide_as_numbers():
-    tangents = Tangents({"a": 0})
-    value, slopes = tangents.last("1 / 3 * a + a / 2")
-    assert value == "(((1.0 / 3.0) * a) + (a / 2.0))"  # in C, 1 / 3 is zero
-    assert evaluated(slopes[0], {}) == pytest.approx(1 / 3 + 1 / 2)
-    assert "2.0" in slopes[0]
+    graph = graph_of("1 / 3 * a + a / 2")
+    assert {operation for operation, operands in graph.nodes if not operands} >= {
+        "1.0",
+        "2.0",
+        "3.0",
+    }  # in C, 1 / 3 is 0
+    assert evaluated(graph, POINT)[graph.entries[0][2]] == pytest.approx(1 / 3 + 1 / 2)
     for formula in ("1e999 * a", f"{10**400} * a"):
         with pytest.raises(ValueError, match="formula"):
-            tangents.last(formula)
+            graph_of(formula)
