@@ -276,11 +276,6 @@ def test_what_does_not_come_to_rest_beside_outputs_that_are_held_is_to_be_tracke
     assert ("plant.outputs=[p,v] plant.low=[-1,0] plant.high=[1,0]" in str(told)) is helps
 
 
-def test_a_verdict_says_its_limits():
-    told = str(judge_run(metrics(-2.0, -1.0), 0.02).findings[1])
-    assert "2 % on average" in told and "20 % at worst" in told
-
-
 def test_a_mileage_that_runs_on_is_named_and_no_failure():
     verdict = judge_run(metrics(-2.0, -1.0, idle={"way": 1.0}))
     assert verdict.controlled and verdict.findings[1].values["idle"] == ["way"]

@@ -8,13 +8,12 @@ import torch
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModule
 from torchrl.envs.utils import check_env_specs
 
 from dynasindy.control.sensing import Sensing
 from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import ControlEnv, RandomStep, Step, Tracking, TrackingReward, Wave
-from dynasindy.systems import Pendulum, Signature, Stops, System, Tras, Xi, rk4
+from dynasindy.systems import Pendulum, Signature, Stops, System, Tras, Xi
 from dynasindy.systems.transitions import Transitions
 
 
@@ -42,14 +41,6 @@ def test_partial_reset_leaves_the_other_rows():
     assert torch.equal(reset["state"][[0, 2]], ongoing["state"][[0, 2]])
     assert (reset["state"][1] == 0).all()
     assert not torch.equal(reset["task_params"][1], ongoing["task_params"][1])
-
-
-def test_the_step_is_differentiable():
-    u = torch.tensor([[0.1, 0.2]], requires_grad=True)
-    samples, _ = make().advance(torch.zeros(1, 6), u)
-    samples[:, -1, 5].sum().backward()
-    # One period of 6100 rpm/s per unit of u_p, less the drag of the rotor.
-    assert u.grad[0, 1].item() == pytest.approx(6100 * 0.05, rel=0.02)
 
 
 class Ramps(System):
@@ -163,15 +154,6 @@ def test_types_and_bounds_are_those_that_policies_expect():
         assert row[key].dtype == torch.float64, key
     assert (env.action_spec.space.low == -1).all() and (env.action_spec.space.high == 1).all()
     assert row["next", "samples"].shape == (2, 5, 6) and row["next", "reward"].shape == (2, 1)
-
-
-def test_the_beam_rests_at_its_stop_and_says_so():
-    rollout = make(dtype=torch.float64).rollout(120, Constant(1.0, 1.0))
-    touched = rollout["next", "at_stop"]
-    pitch, rate = rollout["next", "state"][:, 1], rollout["next", "state"][:, 3]
-    assert touched.any() and not touched[0]
-    assert pitch.max() == torch.pi / 2
-    assert (rate[pitch == torch.pi / 2] <= 0).all()
 
 
 def test_a_plant_that_moves_in_steps_has_periods_of_whole_steps_and_no_samples_within_them():
@@ -396,13 +378,6 @@ def test_noise_is_its_seeds_numbers_times_the_spread_of_each_state():
     assert torch.equal(noisy.u, clean.u)
 
 
-def rollout(u, steps):
-    plant = Tras()
-    env = ControlEnv(plant, Tracking(plant.signature, Step([[0.0, 0.0]])), dtype=torch.float64)
-    policy = TensorDictModule(lambda o: torch.tensor(u), in_keys=["observation"], out_keys=["action"])
-    return env.rollout(steps, policy)
-
-
 def test_each_period_gives_its_own_rows_inputs_and_flag():
     """Four periods of two samples; the second and the last touched a stop."""
     start = torch.tensor([[0.0], [2.0], [4.0], [6.0]])
@@ -420,22 +395,6 @@ def test_each_period_gives_its_own_rows_inputs_and_flag():
     expected = torch.tensor([[0.1, -0.1], [0.1, -0.1], [0.3, -0.3], [0.3, -0.3]])
     assert torch.equal(data.u.float(), expected) and data.u.dtype == data.x.dtype == data.x_next.dtype == torch.float64
     assert data.segment.tolist() == [0, 0, 1, 1] and data.dt == 0.025
-
-
-def test_every_logged_sample_becomes_a_transition_of_the_plant():
-    data = Transitions.from_periods(rollout([0.2, 0.4], 20), 0.01)
-    assert len(data) == 100 and data.dt == 0.01
-    assert torch.allclose(rk4(Tras(), data.x, data.u, 0.01), data.x_next, rtol=1e-12)
-
-
-def test_periods_at_a_stop_are_left_out_and_break_the_segment():
-    rows = rollout([1.0, 1.0], 80)
-    at_stop = rows["next", "at_stop"].flatten()
-    assert 0 < at_stop.sum() < 80
-    data = Transitions.from_periods(rows, 0.01)
-    assert len(data) == 5 * int((~at_stop).sum())
-    follows = data.segment[1:] == data.segment[:-1]
-    assert torch.equal(data.x[1:][follows], data.x_next[:-1][follows])
 
 
 def test_an_observer_reads_the_first_measurement_and_that_at_the_end_of_each_period():

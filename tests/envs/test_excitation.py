@@ -26,13 +26,6 @@ def test_levels_may_be_an_array(make):
 
 
 @pytest.mark.parametrize("kind", MOVING)
-def test_inputs_are_told_apart(kind):
-    """The same signal on two inputs would be correlated by 1."""
-    u = kind(2, amplitude=0.5).samples(0.01)
-    assert abs(torch.corrcoef(u.mT)[0, 1]) < 0.5
-
-
-@pytest.mark.parametrize("kind", MOVING)
 def test_as_a_policy_it_reads_the_step_count_and_holds_the_input(kind):
     excitation = kind(2, duration=4.0, dt=0.05)
     out = excitation(TensorDict({"step_count": torch.tensor([[0], [7]])}, batch_size=[2]))
@@ -101,23 +94,10 @@ def test_a_multisine_is_its_formula_in_plain_numbers():
     assert np.abs(given).max() <= 1 and len(np.unique(phases)) == 6
 
 
-def test_a_multisine_has_lines_of_one_height_and_phases_all_around():
-    u = Multisine(2, duration=10.0, harmonics=4, amplitude=1.0, seed=3).samples(0.01)
-    power = torch.fft.rfft(u, dim=0).abs()
-    for column, lines in enumerate(([1, 3, 5, 7], [2, 4, 6, 8])):
-        heights = power[lines, column]
-        assert bool((heights / heights.mean() - 1 < 1e-6).all())
-        assert (power[:, column] > 1e-6 * heights.max()).nonzero().flatten().tolist() == lines
+def test_phases_of_a_multisine_lie_all_around():
     many = Multisine(2, harmonics=2000, seed=0).phases
     assert bool((many >= 0).all()) and float(many.max()) > 6.2 and abs(float(many.mean()) - torch.pi) < 0.1
     assert abs(float(torch.corrcoef(many.mT)[0, 1])) < 0.06
-
-
-def test_levels_are_held_for_the_time_given():
-    u = Aprbs(2, duration=10.0, hold=0.5, amplitude=1.0, seed=1).samples(0.01)
-    jumps = [(u[1:, i] != u[:-1, i]).nonzero().flatten() + 1 for i in range(2)]
-    assert set(jumps[0].diff().tolist()) == {50}
-    assert not set(jumps[0].tolist()) & set(jumps[1].tolist())
 
 
 def test_a_signal_is_the_loop_over_its_holds():

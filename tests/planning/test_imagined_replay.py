@@ -117,14 +117,6 @@ def test_starts_in_transitions_out_on_any_buffer():
     assert stored == set(LEARN_KEYS)
 
 
-def test_ends_are_truncated_and_never_terminated():
-    imagined = Imagination(make_env(), POLICY, horizon=4).imagine(torch.zeros(2, 6))
-    ends = imagined["next", "truncated"].flatten().reshape(2, 4)
-    assert ends.tolist() == [[False, False, False, True]] * 2
-    assert torch.equal(imagined["next", "done"], imagined["next", "truncated"])
-    assert not imagined["next", "terminated"].any()
-
-
 class Turn(System):
     """A clock: the azimuth grows by a tenth per period, whatever is done."""
 

@@ -68,22 +68,6 @@ def test_under_the_true_delay_the_recording_is_that_of_the_plant(delay):
     assert abs(coefficients(delay_inputs(data, delay + 0.3 * DT))[1] / B - 1) > 0.03
 
 
-@pytest.mark.parametrize(("true", "found"), [(0.013, 0.02), (0.053, 0.06), (0.067, 0.06), (0.0699, 0.06)])
-def test_the_delay_of_a_difference_equation_is_the_whole_step_nearest_to_the_lowest_point(true, found):
-    asked = []
-
-    def cost(delay: float) -> float:
-        asked.append(delay / DT)
-        return 1e5 * (delay - true) ** 2
-
-    assert _refined_delay(0.04, DT, 0.1, 1.0, cost, whole=True) == pytest.approx(found, abs=1e-12)
-    assert asked == pytest.approx([round(steps) for steps in asked], abs=1e-9)
-
-
-def test_a_delay_is_at_the_vertex_of_a_parabola_however_flat_it_is():
-    assert _refined_delay(0.02, DT, 0.1, 0.0, lambda delay: 1.5 * (delay - 0.0372) ** 2) == pytest.approx(0.0372)
-
-
 def test_a_delay_that_is_worth_little_is_none_and_none_is_longer_than_allowed():
     def cost(delay: float) -> float:
         return 1e4 * (delay - 0.03) ** 2

@@ -26,11 +26,6 @@ def test_every_model_is_a_system_with_the_plants_signature(make, tmp_path):
     assert (tmp_path / "model.json").read_text().startswith("{")
 
 
-def test_it_is_the_plant():
-    plant, x, u = Tras(), torch.randn(3, 6), torch.rand(3, 2)
-    assert torch.equal(Oracle(plant.signature, plant)(x, u), plant(x, u))
-
-
 def test_of_a_difference_equation_it_moves_by_its_steps():
     """Two steps of -0.6 x + u: 0.36 x + 0.4 u."""
     x, u = torch.tensor([[1.0], [-2.0]]), torch.tensor([[0.5], [0.0]])
