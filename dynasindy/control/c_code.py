@@ -31,11 +31,6 @@ IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 
 
 def _module_name(name: str) -> str:
-    """Return a name that all names of a C file begin with.
-
-    Raises:
-        ValueError: It cannot begin one.
-    """
     if not IDENTIFIER.fullmatch(name):
         raise ValueError(
             f"name is {name[:40]!r}; allowed are a letter, then letters, digits and '_', 31 at most: choose another"
@@ -48,11 +43,8 @@ def _identifiers(names: Iterable[str]) -> list[str]:
     found: list[str] = []
     for name in names:
         plain = re.sub(r"\W", "_", name.translate(PLAIN), flags=re.ASCII)
-        unique, count = plain, 1
-        while unique in found:
-            count += 1
-            unique = f"{plain}_{count}"
-        found.append(unique)
+        numbered = (f"{plain}_{count}" for count in range(2, len(found) + 3))
+        found.append(next(each for each in (plain, *numbered) if each not in found))
     return found
 
 

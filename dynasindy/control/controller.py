@@ -234,7 +234,8 @@ class ControlLaw:
             x, memory = x[..., : self.n_x], memory._replace(mean=mean, covariance=covariance, shift=shift)
         if self.integral is not None:
             self.integral.integral = memory.integral
-        params = _line(r, rate, self.setup.dt)
+        zero = torch.zeros_like(r)  # a line is a slow sine
+        params = torch.stack([r, zero + rate, zero + 1 / (2 * math.pi), zero - self.setup.dt, zero], -1)
         steps = torch.ones(*x.shape[:-1], 1, dtype=x.dtype)  # none is the first, so that the integral goes on
         observation = self.setup.task.observation(x, params, steps * self.setup.dt).to(self.dtype)
         shown: dict[str, Any] = {"observation": observation, "state": x, "task_params": params, "step_count": steps}
@@ -312,9 +313,7 @@ class Controller:
         return module
 
     def __repr__(self) -> str:
-        names, units = self.signature.state_names, self.signature.state_units
-        outputs = ", ".join(f"{name} [{units[names.index(name)]}]" for name in self.outputs)
-        seen = ", ".join(f"{name} [{units[names.index(name)]}]" for name in self.measured)
+        outputs, seen = (", ".join(self.signature.headings(names)) for names in (self.outputs, self.measured))
         parts = [part for part, there in (("observer", self.observer), ("integral action", self.integral)) if there]
         more = f", with {' and '.join(parts)}" if parts else ""
         inputs = ", ".join(self.signature.input_names)
@@ -446,12 +445,6 @@ class Controller:
                 raise ValueError(f"{what} of {names[place]} is {given}; give a finite number{hint}")
 
 
-def _line(r: Tensor, slope: Tensor | float, t: float) -> Tensor:
-    """Return parameters of references that are at `r` at time t and move by `slope`, `(*batch, n_r, 5)`: slow sines."""
-    zero = torch.zeros_like(r)
-    return torch.stack([r, zero + slope, zero + 1 / (2 * math.pi), zero - t, zero], -1)
-
-
 FORMAT = "dynasindy controller 1"
 NAME = "controller.json"
 """Its name in a run folder."""
@@ -471,6 +464,7 @@ def save(controller: Controller, path: str | Path) -> None:
     """
     task, integral, observer = controller.setup.task, controller.integral, controller.observer
     moved = observer or controller.setup
+    ends = asdict(moved.stops) if moved.stops else {}
     numbers = None if integral is None else IntegralAction(controller.policy, controller.setup, **integral)
     record = {
         "format": FORMAT,
@@ -479,11 +473,7 @@ def save(controller: Controller, path: str | Path) -> None:
             "dt": controller.dt,
             "substeps": moved.substeps,
             # JSON has no infinite numbers, and an end that is not there is null.
-            "stops": moved.stops
-            and {
-                key: [end if math.isfinite(end) else None for end in values]
-                for key, values in asdict(moved.stops).items()
-            },
+            "stops": {key: [end if math.isfinite(end) else None for end in each] for key, each in ends.items()} or None,
             "outputs": list(task.output_names),
             "rates": task.rate_names,
             "observe_rate": task.observe_rate,
@@ -535,7 +525,7 @@ def load(path: str | Path) -> Controller:
         if type(substeps) is not int or not 1 <= substeps <= FINEST:
             raise ValueError(f"substeps is {str(substeps)[:40]!r}; allowed are whole numbers from 1 to {FINEST}")
         # Files that were written before targets were kept, and before inputs had limits, have none.
-        low, high = ([_number(value) for value in row] for row in given.get("targets") or ((), ()))
+        least, most = ([_number(value) for value in row] for row in given.get("targets") or ((), ()))
         task = Tracking(
             signature,
             Step([[0.0] * len(outputs)]),
@@ -544,13 +534,21 @@ def load(path: str | Path) -> Controller:
             TrackingReward(error_weights=(1.0,)),
             observe_rate=bool(given["observe_rate"]),
             error_scale=_positive(given["error_scale"]),
-            low=low or None,
-            high=high or None,
+            low=least or None,
+            high=most or None,
         )
         limits = given.get("input_limits", task.input_limits.tolist())
         task = task.with_input_limits([[_number(end) for end in row] for row in limits])
         task = task.with_box([_positive(extent) for extent in given["box"]])
-        setup = ControlSetup(task, _positive(given["dt"]), substeps, _stops(given["stops"], signature.n_x))
+        stops = None
+        if (found := given["stops"]) is not None:
+            low, high = (
+                tuple(none if end is None else _number(end) for end in found[key])
+                for key, none in (("low", -math.inf), ("high", math.inf))
+            )
+            stops = Stops(tuple(found["positions"]), tuple(found["rates"]), low, high)
+            stops.rows(signature.n_x)  # refuses states that do not exist
+        setup = ControlSetup(task, _positive(given["dt"]), substeps, stops)
         policy = TensorDictModule(_network(record["policy"], task), in_keys=["observation"], out_keys=["action"])
         observer, known = None, record["observer"]
         if known is not None:
@@ -609,16 +607,3 @@ def _number(value: object, low: float = -math.inf) -> float:
 
 def _positive(value: object) -> float:
     return _number(value, 0.0)
-
-
-def _stops(record: Mapping[str, Any] | None, n_x: int) -> Stops | None:
-    """Return the stops of a record."""
-    if record is None:
-        return None
-    low, high = (
-        tuple(none if end is None else _number(end) for end in record[key])
-        for key, none in (("low", -math.inf), ("high", math.inf))
-    )
-    stops = Stops(tuple(record["positions"]), tuple(record["rates"]), low, high)
-    stops.rows(n_x)  # refuses states that do not exist
-    return stops

@@ -222,7 +222,10 @@ class Observer:
     def correction(self, mean: Tensor, inputs: Tensor, outputs: Sequence[int], guess: Tensor) -> Tensor:
         """Return what of state and input counteracts the estimated push; zero before there is a model.
 
-        With it the plant is controlled free of offset: a constant push leaves no steady error.
+        With it the plant is controlled free of offset: a constant push leaves no steady error. Without it, the plant
+        without the push would move as the plant with the push does: f(x - dx, u - du) = f(x, u) + push, C dx = 0.
+        Linearised this is 0 = A dx + B du + push. It is solved by damped Gauss-Newton steps from the solution of the
+        control period before, as thrusts that go with the square of a speed have no slope at rest.
 
         Args:
             mean: Estimate, `(*batch, n)`.
@@ -234,7 +237,23 @@ class Observer:
             return torch.zeros_like(guess)
         x, u, push = mean[..., : self.n_x], inputs[..., -1, :].double(), torch.zeros_like(mean[..., : self.n_x])
         push[..., self.pushed] = mean[..., self.n_x :]
-        return _correction(self.system, x, u, push, outputs, guess)
+        n_x, n_u, system = self.n_x, u.shape[-1], self.system
+        scale = torch.tensor([*system.signature.x_scale, *[1.0] * n_u], dtype=x.dtype)
+        eye = torch.eye(n_x + n_u, dtype=x.dtype)
+        nudges, held = NUDGE * torch.cat([torch.zeros_like(eye[:1]), eye, -eye]), eye[list(outputs)]
+        held = held.expand(*x.shape[:-1], *held.shape)
+        wanted, point, shift = system(x, u) + push, torch.cat([x, u], -1), guess
+        for _ in range(STEPS):
+            around = (point - shift).unsqueeze(-2) + nudges * scale
+            rates = (system(around[..., :n_x], around[..., n_x:]) - wanted.unsqueeze(-2)) / scale[:n_x]
+            excess, forth, back = rates.split([1, n_x + n_u, n_x + n_u], -2)
+            slopes = torch.cat([(forth - back).mT / (2 * NUDGE), held], -2)
+            missing = torch.cat([excess.squeeze(-2), -(shift / scale)[..., list(outputs)]], -1).unsqueeze(-1)
+            normal = slopes.mT @ slopes + DAMPING * eye
+            # Far off, where a model explodes, the matrix may be singular in spite of the damping: no number, no shift.
+            step, failed = torch.linalg.solve_ex(normal, slopes.mT @ missing)
+            shift = shift + step.squeeze(-1).masked_fill(failed.bool().unsqueeze(-1), torch.nan) * scale
+        return torch.where(shift.isfinite().all(-1, keepdim=True), shift, torch.zeros_like(shift))
 
     def follow(self, y: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Filter a log.
@@ -429,7 +448,6 @@ class _Augmented(Altered):
     def __init__(self, system: System, pushed: Sequence[int], count: int) -> None:
         super().__init__(system)
         self.pushed, self.count = list(pushed), count
-        self._code: tuple[Machine, Machine] | None = None
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, n_x + count)`, of states `(*batch, n_x + count)`."""
@@ -444,13 +462,9 @@ class _Augmented(Altered):
         own = self.system.compiled(x[..., : self.signature.n_x], u)
         if own is None:
             return None
-        if self._code is None or self._code[0] is not own:
-            self._code = own, Machine(own.program.with_constants(self.pushed, self.count), own.dtype)
-        return self._code[1]
-
-    def __getstate__(self) -> dict[str, object]:
-        """Leave machine code out of copies and pickles; it is made again when needed."""
-        return {**super().__getstate__(), "_code": None}
+        if own not in self._machines:
+            self._machines = {own: Machine(own.program.with_constants(self.pushed, self.count), own.dtype)}
+        return self._machines[own]
 
 
 class _Kinematic(System):
@@ -467,31 +481,3 @@ class _Kinematic(System):
         columns = x.unbind(-1)
         still = torch.zeros_like(columns[0])
         return torch.stack([columns[self.rates[i]] if i in self.rates else still for i in range(len(columns))], -1)
-
-
-def _correction(system: System, x: Tensor, u: Tensor, push: Tensor, outputs: Sequence[int], guess: Tensor) -> Tensor:
-    """Return the part of state and input, `(*batch, n_x + n_u)`, that counteracts a push and leaves the outputs alone.
-
-    Without it, the plant without the push would move as the plant with the push does:
-    f(x - dx, u - du) = f(x, u) + push, C dx = 0. Linearised this is 0 = A dx + B du + push. It is solved by damped
-    Gauss-Newton steps from the solution of the control period before, as thrusts that go with the square of a speed
-    have no slope at rest.
-    """
-    n_x, n_u = x.shape[-1], u.shape[-1]
-    scale = torch.tensor([*system.signature.x_scale, *[1.0] * n_u], dtype=x.dtype)
-    nudges = NUDGE * torch.cat([torch.zeros(1, n_x + n_u, dtype=x.dtype), torch.eye(n_x + n_u), -torch.eye(n_x + n_u)])
-    held = torch.zeros(len(outputs), n_x + n_u, dtype=x.dtype)
-    held[range(len(outputs)), list(outputs)] = 1.0
-    held = held.expand(*x.shape[:-1], *held.shape)
-    wanted, point, shift = system(x, u) + push, torch.cat([x, u], -1), guess
-    for _ in range(STEPS):
-        around = (point - shift).unsqueeze(-2) + nudges * scale
-        rates = (system(around[..., :n_x], around[..., n_x:]) - wanted.unsqueeze(-2)) / scale[:n_x]
-        excess, forth, back = rates.split([1, n_x + n_u, n_x + n_u], -2)
-        slopes = torch.cat([(forth - back).mT / (2 * NUDGE), held], -2)
-        missing = torch.cat([excess.squeeze(-2), -(shift / scale)[..., list(outputs)]], -1).unsqueeze(-1)
-        normal = slopes.mT @ slopes + DAMPING * torch.eye(n_x + n_u, dtype=x.dtype)
-        # Far off, where a model explodes, the matrix may be singular in spite of the damping: no number is no shift.
-        step, failed = torch.linalg.solve_ex(normal, slopes.mT @ missing)
-        shift = shift + step.squeeze(-1).masked_fill(failed.bool().unsqueeze(-1), torch.nan) * scale
-    return torch.where(shift.isfinite().all(-1, keepdim=True), shift, torch.zeros_like(shift))

@@ -149,12 +149,9 @@ class Sensing(Transform):
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Add what is measured, what the observer holds, and the truth behind."""
-        assert isinstance(observation_spec, Composite)
-        observation_spec["true_state"] = observation_spec["state"].clone()
-        observation_spec["true_reward"] = Unbounded(shape=(*observation_spec.shape, 1))
-        observation_spec["measurement"] = observation_spec["state"].clone()
-        observation_spec["observer"] = make_composite_from_td(self._blank(observation_spec.shape))
-        return observation_spec
+        shown = self.transform_state_spec(observation_spec)
+        shown["true_reward"], shown["measurement"] = Unbounded(shape=(*shown.shape, 1)), shown["state"].clone()
+        return shown
 
     def transform_state_spec(self, state_spec: TensorSpec) -> TensorSpec:
         """Add what is carried from step to step: the true state and what the observer holds."""

@@ -68,9 +68,7 @@ class Wiring:
     @property
     def headings(self) -> list[str]:
         """Headings of a log: time, the states that are measured, and the inputs, each with its unit."""
-        units = dict(zip(self.signature.state_names, self.signature.state_units, strict=True))
-        inputs = (f"{name} [-]" for name in self.signature.input_names)
-        return ["time [s]", *(f"{name} [{units[name]}]" for name in self.measured), *inputs]
+        return self.signature.headings(["time", *self.measured, *self.signature.input_names])
 
 
 class Rig(Protocol):

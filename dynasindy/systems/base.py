@@ -238,7 +238,9 @@ class Signature:
     def headings(self, names: Sequence[str]) -> list[str]:
         """Return headings of a table over time: `time [s]`, `alpha_a [rad]`, `reference_alpha_a [rad]`, `u_a [-]`."""
         units = {**dict(zip(self.state_names, self.state_units, strict=True)), "time": "s"}
-        return [f"{name} [{units.get(re.sub('^(reference|predicted)_', '', name), '-')}]" for name in names]
+        return [
+            f"{name} [{units.get(name.removeprefix('reference_').removeprefix('predicted_'), '-')}]" for name in names
+        ]
 
     def in_own_units(self, u: ArrayLike) -> NDArray[np.float64]:
         """Return inputs of [-1, 1], `(*batch, n_u)`, in the units of their actuators."""
@@ -302,7 +304,7 @@ class System(nn.Module, ABC):
         super().__init__()
         self.signature = signature
         self.stops = stops
-        self._machines: dict[torch.dtype, Machine | None] = {}
+        self._machines: dict[object, Machine | None] = {}
 
     def extra_repr(self) -> str:
         """Return its states and inputs, for `repr`."""

@@ -7,6 +7,7 @@ import pickle
 import warnings
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,6 @@ import torch
 from dynasindy.agents import actor
 from dynasindy.control import Controller, Observer, load, save
 from dynasindy.control.controller import ControlSetup, IntegralAction, acting
-from dynasindy.control.observer import _correction
 from dynasindy.control.sensing import Sensing
 from dynasindy.envs import ControlEnv, Sensors, Step, Tracking, TrackingReward, Wave
 from dynasindy.evaluation.disturbances import PerturbedPlant
@@ -358,6 +358,14 @@ B = torch.tensor([[0.0], [0.0], [3.0]], dtype=torch.float64)
 LINEAR = Signature(("p", "v", "m"), ("m", "m/s", "-"), ("u",), (1.0, 2.0, 0.5))
 
 
+def counteracted(system, x, u, push, shift):
+    """One period's answer to a push on the rate of `p`, of an observer that relies on the system."""
+    env = SimpleNamespace(dt=0.1, substeps=1, stops=None)
+    observer = Observer(system, Sensors({"p": {}}, {"p": "v"}, disturbance=True), env)
+    observer.load_state_dict({"process_noise": [1.0] * (x.shape[-1] + 1), "nis": 1.0})
+    return observer.correction(torch.cat([x, push], -1), u.unsqueeze(-2), [0], shift)
+
+
 class Linear(System):
     def __init__(self):
         super().__init__(LINEAR)
@@ -367,13 +375,13 @@ class Linear(System):
 
 
 def test_on_a_linear_plant_it_solves_the_steady_state_equations():
-    push = torch.tensor([[0.0, 0.3, 0.0], [0.0, -1.0, 0.0]], dtype=torch.float64)
+    push = torch.tensor([[0.3], [-1.0]], dtype=torch.float64)
     shift = torch.zeros(2, 4, dtype=torch.float64)
     for _ in range(5):
-        shift = _correction(Linear(), torch.rand(2, 3).double(), torch.rand(2, 1).double(), push, [0], shift)
+        shift = counteracted(Linear(), torch.rand(2, 3).double(), torch.rand(2, 1).double(), push, shift)
     held = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
     both = torch.cat([torch.cat([A, B], 1), held])
-    expected = torch.linalg.solve(both, torch.cat([-push, torch.zeros(2, 1)], -1).T).T
+    expected = torch.linalg.solve(both, torch.cat([0 * push, -push, torch.zeros(2, 2)], -1).T).T
     torch.testing.assert_close(shift, expected, rtol=1e-6, atol=1e-6)
     assert shift[0, 2].item() == pytest.approx(-0.15) and shift[0, 3].item() == pytest.approx(-0.15)
 
@@ -392,11 +400,11 @@ class Crane(System):
 def test_a_push_on_a_curved_plant_is_counteracted_by_newton_s_steps():
     """tanh(u - du) = tanh(u) + push, by hand; five calls of two steps leave next to nothing."""
     x, u = torch.tensor([0.4, 0.0], dtype=torch.float64), torch.tensor([0.2], dtype=torch.float64)
-    push = torch.tensor([0.0, -0.2], dtype=torch.float64)
+    push = torch.tensor([-0.2], dtype=torch.float64)
     shift, left = torch.zeros(3, dtype=torch.float64), []
     wanted = 0.2 - math.atanh(math.tanh(0.2) - 0.2)
     for _ in range(5):
-        shift = _correction(Crane(), x, u, push, [0], shift)
+        shift = counteracted(Crane(), x, u, push, shift)
         left.append(abs(float(shift[2]) - wanted))
     assert left[1] < 1e-6 and left[-1] < 1e-8
     assert shift[:2].abs().max() < 1e-8
