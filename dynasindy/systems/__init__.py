@@ -2,7 +2,7 @@
 
 from dynasindy.systems.base import Altered, Diverged, Signature, System
 from dynasindy.systems.black_box import BlackBox
-from dynasindy.systems.integrators import integrate, moved, repeat_steps, rk4, simulate, steps_needed
+from dynasindy.systems.integrators import integrate, moved, rk4, simulate, steps_needed
 from dynasindy.systems.pendulum import Pendulum
 from dynasindy.systems.steps import Stops
 from dynasindy.systems.tras import Tras
@@ -22,7 +22,6 @@ __all__ = [
     "Xi",
     "integrate",
     "moved",
-    "repeat_steps",
     "rk4",
     "simulate",
     "steps_needed",

@@ -30,11 +30,7 @@ def rates_at_start(system: System, begins: Callable[[torch.Size], Tensor]) -> li
 
 
 def _rates(system: System, x: Tensor, u: Tensor) -> Tensor:
-    """Return the rates of change, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`.
-
-    Raises:
-        ValueError: The system fails, or returns something else.
-    """
+    """Return the rates of change, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
     name = type(system).__name__
     wanted = (
         f"{tuple(x.shape)} of {x.dtype} for states of that shape and type and inputs {tuple(u.shape)}, each state as "

@@ -83,8 +83,6 @@ def load_library(source: str, *, fast: bool) -> ctypes.CDLL:
         ValueError: The compiler refuses the text.
         OSError: What the compiler wrote cannot be loaded.
     """
-    if compiler() is None:
-        raise FileNotFoundError("no C compiler was found; install gcc or clang, or do without machine code")
     file = _cache_file(source, fast)
     if file is not None:
         with suppress(OSError):  # it may be missing or damaged, and is then compiled anew
@@ -158,7 +156,7 @@ def _cache_file(source: str, fast: bool) -> Path | None:
 
 def _run(arguments: Sequence[str], source: Path, made: Path) -> Path:
     if (found := compiler()) is None:
-        raise FileNotFoundError("no C compiler was found; install gcc or clang, or leave out what is compiled")
+        raise FileNotFoundError("no C compiler was found; install gcc or clang, or do without machine code")
     command = [found, *arguments]
     try:
         done = subprocess.run(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -124,24 +123,22 @@ def simulate(
         ValueError: The period is not made of whole steps of a difference equation.
     """
     h, count, difference = steps_of(time_step_of(f), dt, substeps)
-
-    def _period(x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        touched, ends = torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device), []
-        for _ in range(count):
-            x = _stepped(f, x, u, h, difference)
-            if stops is not None:
-                x, stopped = stops.apply(x)
-                touched = touched | stopped
-            ends.append(x)
-        return torch.stack(ends, -2), touched
-
     if isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u[0])) is not None:
         x, u = x.contiguous(), u.contiguous()
         samples = x.new_empty(*u.shape[:-1], count, x.shape[-1])
         touched = torch.empty(u.shape[:-1], dtype=torch.bool)
         code.bind(x, u, samples, touched, dt, substeps, stops)()
     else:
-        samples, touched = repeat_steps(_period, x, u)
+        ends, hits = list[Tensor](), list[Tensor]()
+        for held in u:
+            hits.append(torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device))
+            for _ in range(count):
+                x = _stepped(f, x, held, h, difference)
+                if stops is not None:
+                    x, stopped = stops.apply(x)
+                    hits[-1] = hits[-1] | stopped
+                ends.append(x)
+        samples, touched = torch.stack(ends, -2).unflatten(-2, (len(u), count)).movedim(-3, 0), torch.stack(hits)
     if difference and not samples.shape[-2] == substeps == 1:  # the samples are all from the end of the period
         samples = samples[..., -1:, :].repeat_interleave(substeps, -2)
     return samples, touched
@@ -178,25 +175,6 @@ def trajectory(
         ends.append(simulate(f, x, held, dt, substeps)[0][..., -1, :].clone())
         x = ends[-1][-1]
     return torch.cat(ends)
-
-
-def repeat_steps(
-    advance: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]], x: Tensor, u: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Advance states period by period, see `simulate`.
-
-    Args:
-        advance: Return the samples of a period, `(*batch, substeps, n_x)`, and whether a stop was touched, `(*batch,)`.
-        x: States at the start of the first period, `(*batch, n_x)`.
-        u: Inputs held over each period, `(T, *batch, n_u)`, of one period or more.
-    """
-    samples, touched = [], []
-    for held in u:
-        moved_on, hit = advance(x, held)
-        x = moved_on[..., -1, :]
-        samples.append(moved_on)
-        touched.append(hit)
-    return torch.stack(samples), torch.stack(touched)
 
 
 def steps_needed(

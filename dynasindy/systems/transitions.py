@@ -32,6 +32,9 @@ class Transitions:
         substeps: transitions in a control period, in which the inputs stay as they are.
         u_end: inputs at the end of each transition, to which they move in a straight line, `(N, n_u)`; equal to `u`
             where an input is held, None where all are.
+
+    Raises:
+        ValueError: a shape does not fit the others, or `dt` is not positive.
     """
 
     x: Tensor
@@ -43,12 +46,6 @@ class Transitions:
     u_end: Tensor | None = None
 
     def __post_init__(self) -> None:
-        """Check shapes and the sampling time.
-
-        Raises:
-            ValueError: a shape does not fit the others.
-            ValueError: `dt` is not positive.
-        """
         n = self.x.shape[0]
         shapes = [tuple(t.shape) for t in (self.x, self.u, self.x_next, self.segment)]
         fits = self.x.ndim == self.u.ndim == 2 and self.x_next.shape == self.x.shape
@@ -105,8 +102,7 @@ class Transitions:
         """Join several recordings; segments of different recordings stay apart.
 
         Raises:
-            ValueError: there is nothing to join.
-            ValueError: the sampling times differ.
+            ValueError: there is nothing to join, or the sampling times differ.
         """
         if not parts:
             raise ValueError("Transitions.cat got an empty list; allowed is one recording or more: collect data first")
