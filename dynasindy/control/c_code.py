@@ -272,7 +272,6 @@ class Native:
         return Native, (self._sources,), self.state
 
     def __setstate__(self, state: Array) -> None:
-        """Go on where the copied one was."""
         self.state[:] = state
 
     def reset(self) -> None:

@@ -450,7 +450,6 @@ class _Augmented(Altered):
         self.pushed, self.count = list(pushed), count
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
-        """Return dx/dt, `(*batch, n_x + count)`, of states `(*batch, n_x + count)`."""
         n_x = self.signature.n_x
         rates = list(self.system(x[..., :n_x], u).unbind(-1))
         for k, state in enumerate(self.pushed):
@@ -458,7 +457,6 @@ class _Augmented(Altered):
         return torch.stack([*rates, *[torch.zeros_like(rates[0])] * self.count], -1)
 
     def compiled(self, x: Tensor, u: Tensor) -> Machine | None:
-        """Return machine code of the system's own, with the constants."""
         own = self.system.compiled(x[..., : self.signature.n_x], u)
         if own is None:
             return None
@@ -477,7 +475,6 @@ class _Kinematic(System):
         self.rates = dict(rates)
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
-        """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)`, whatever the inputs are."""
         columns = x.unbind(-1)
         still = torch.zeros_like(columns[0])
         return torch.stack([columns[self.rates[i]] if i in self.rates else still for i in range(len(columns))], -1)

@@ -335,7 +335,6 @@ def _read_hdf5(path: Path) -> Raw:
 
 
 def _with_unit(name: str, unit: object) -> str:
-    """Return a heading of a name and the unit that a container has of it, if any."""
     return f"{name} [{unit}]" if isinstance(unit, str) and unit else name
 
 

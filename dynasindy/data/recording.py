@@ -78,7 +78,6 @@ class Recording:
     findings: tuple[Finding, ...] = ()
 
     def __repr__(self) -> str:
-        """Say in a line or two what it holds."""
         data, signature = self.transitions, self.signature
         states = (f"{name} [{unit}]" for name, unit in zip(signature.state_names, signature.state_units, strict=True))
         stretches = len(data.segment.unique())
@@ -268,7 +267,6 @@ class LogReader:
         return time, states, inputs
 
     def __str__(self) -> str:
-        """Name the files."""
         return ", ".join(self.paths)
 
     def _of_file(self, path: str, findings: Sequence[Finding]) -> list[Finding]:

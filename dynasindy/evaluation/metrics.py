@@ -29,11 +29,6 @@ from dynasindy.text import SECONDS, duration_unit, format_duration
 TRACKING = ("rmse", "mean_abs_error", "steady_state_error")
 STEP = ("overshoot", "rise_time", "settling_time")
 CONTROL = ("control_effort", "control_variation")
-UNITS = {
-    **dict.fromkeys(TRACKING, "rad"),  # of the twin rotor; a plant's own where it is known
-    **dict(zip(STEP, ("%", "s", "s"), strict=True)),
-    **dict(zip(CONTROL, ("-", "1/s"), strict=True)),
-}
 
 STEADY_SECONDS = 5.0
 """Length of the final part of a record that counts as steady state [s], where the record allows it."""
@@ -132,17 +127,18 @@ Summary = dict[str, float | None]
 MOST = 12
 """States that are not tracked which a table has."""
 WORDS = {
-    "rmse": "RMSE",
-    "mean_abs_error": "mean abs error",
-    "steady_state_error": "steady-state error (last 5 s)",
-    "overshoot": "overshoot",
-    "rise_time": "rise time (10-90 %)",
-    "settling_time": "settling time (5 %)",
-    "settled": "settled within the run",
-    "steps": "targets that are steps",
-    "control_effort": "control effort (mean u^2)",
-    "control_variation": "control variation",
+    "rmse": ("RMSE", ""),
+    "mean_abs_error": ("mean abs error", ""),
+    "steady_state_error": ("steady-state error", ""),
+    "overshoot": ("overshoot", "%"),
+    "rise_time": ("rise time (10-90 %)", "s"),
+    "settling_time": ("settling time (5 %)", "s"),
+    "settled": ("settled within the run", "%"),
+    "steps": ("targets that are steps", ""),
+    "control_effort": ("control effort (mean u^2)", "-"),
+    "control_variation": ("control variation", "1/s"),
 }
+"""What figures are called, and their units but for those of the outputs."""
 
 
 def to_text(
@@ -163,11 +159,8 @@ def to_text(
         steady: Length of the part that counts as steady state [s]; None leaves its error out, as of a sine.
         width: Columns of the terminal; axes that do not fit beside each other stand below. None lets lines be long.
     """
-    units, words, errors = units or {}, dict(WORDS), list(TRACKING)
-    if steady is None:
-        errors.remove("steady_state_error")
-    else:
-        words["steady_state_error"] = f"steady-state error (last {format_duration(steady)})"
+    units, errors = units or {}, [name for name in TRACKING if steady is not None or name != "steady_state_error"]
+    last = f"steady-state error (last {format_duration(steady or 0.0)})"
     axes, inputs = _columns(summary, "rmse"), _columns(summary, "control_effort")
     told = [units.get(axis, "rad") for axis in axes]
     shared = told[0] if len(set(told)) == 1 else ""
@@ -188,15 +181,15 @@ def to_text(
     for some in (axes[k : k + beside] for k in range(0, len(axes), beside)):
         lines.append(row("", some if shared else [f"{axis} [{units.get(axis, 'rad')}]" for axis in some]))
         for name in (*errors, *(steps if stepped else ())):
-            unit = shared if name in TRACKING else "" if name == "steps" else UNITS.get(name, "%")
-            factor = 100.0 if name == "settled" else 1.0
+            words, unit = (last if name == "steady_state_error" else WORDS[name][0]), WORDS[name][1]
+            unit, factor = shared if name in TRACKING else unit, 100.0 if name == "settled" else 1.0
             if unit == SECONDS.name:
                 times = duration_unit(max((summary[f"{name}/{axis}"] or 0.0 for axis in some), default=0.0))
                 unit, factor = times.name, 1 / times.seconds
-            lines.append(row(f"{words[name]} [{unit}]" if unit else words[name], cells(name, some, factor)))
+            lines.append(row(f"{words} [{unit}]" if unit else words, cells(name, some, factor)))
     for some in (inputs[k : k + beside] for k in range(0, len(inputs), beside)):
         lines.append(row("", some))
-        lines += [row(f"{words[name]} [{UNITS[name]}]", cells(name, some)) for name in CONTROL]
+        lines += [row("{} [{}]".format(*WORDS[name]), cells(name, some)) for name in CONTROL]
     others = [name for name in _columns(summary, "least") if name in units][:MOST]
     lines += [row("not tracked", ("least", "most"))] * bool(others)
     lines += [row(f"{n} [{units[n]}]", [_cell(summary[f"{end}/{n}"]) for end in ("least", "most")]) for n in others]

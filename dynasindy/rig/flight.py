@@ -128,7 +128,6 @@ class FlightResult:
     lost: int = 0
 
     def __str__(self) -> str:
-        """Say it in one line."""
         slowest, latest = (1e3 * float(np.max(t, initial=0.0)) for t in (self.computing, self.jitter))
         lost = f"{self.lost} sample{'s' * (self.lost != 1)} lost, " if self.lost else ""
         times = f"inputs after {slowest:.2f} ms at most, jitter {latest:.2f} ms at most"
@@ -206,7 +205,6 @@ class _FlightLoop:
         self.watchdog = _Watchdog(rig.rest, clock)
 
     def run(self, act: Act, periods: int, log: Log) -> None:
-        """Fly so many periods."""
         self.rig.begin()
         self.start = self.begun = self.clock.monotonic()
         k, u, nothing = 0, np.zeros(self.wiring.signature.n_u), np.full(self.wiring.signature.n_x, np.nan)

@@ -317,7 +317,6 @@ class Session:
 
 
 def _ends(signature: Signature) -> str:
-    """Return what -1 and 1 are of each input in words."""
     ends = signature.input_ends or (WHOLE,) * signature.n_u
     return ", ".join(f"{low:g} and {high:g}" for low, high in ends)
 

@@ -186,7 +186,6 @@ class Signature:
                 )
 
     def _put(self, given: Mapping[str, Ends], key: str, ends: Tensor) -> Tensor:
-        """Return the ends of ranges with those that are given put in."""
         for name, value in given.items():
             pair = [value, value] if isinstance(value, int | float) else list(value)
             if name not in self.state_names or len(pair) != 2 or not -math.inf < pair[0] <= pair[1] < math.inf:

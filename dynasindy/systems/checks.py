@@ -80,30 +80,25 @@ def require_plant(system: System, begins: Callable[[torch.Size], Tensor], bounds
             "the rates of a row may depend on that row alone: write x[..., 0] and u[..., 0] for the first state and "
             "input, and draw nothing at random"
         )
-    finite_rows = dx.isfinite().all(-1)
-    if bool(finite_rows.all()):
+    signature, lost = system.signature, ~dx.isfinite()
+    rows = lost.any(-1)
+    if not bool(rows.any()):
         return
-    told = _where(system, x, u, dx)
-    if not bool(finite_rows.any()):
+    row = int(rows.int().argmax())
+    which = ", ".join(name for name, here in zip(signature.state_names, lost[row].tolist(), strict=True) if here)
+    states = zip(signature.state_names, x[row].tolist(), signature.state_units, strict=True)
+    place = [f"{name} is {value:.3g} {unit}" for name, value, unit in states]
+    place += [f"{name} is {value:.3g}" for name, value in zip(signature.input_names, u[row].tolist(), strict=True)]
+    told = (
+        f"system {type(system).__name__} gives rates of change that are not finite, of {which}, where "
+        f"{', '.join(place)}, and at {int(rows.sum())} of {len(rows)} places that were tried within plant.bounds "
+        "and the ranges of the states"
+    )
+    if bool(rows.all()):
         raise ValueError(f"{told}; they have to be finite: mend the system or its constants")
     warnings.warn(
         f"{told}; if the plant cannot be there, leave it out by plant.bounds, and if it can, mend the system",
         stacklevel=1,  # which names this package: where it is called from says nothing of the plant
-    )
-
-
-def _where(system: System, x: Tensor, u: Tensor, dx: Tensor) -> str:
-    """Say where rates `(N, n_x)` of states `(N, n_x)` and inputs `(N, n_u)` are not finite first, and how often."""
-    signature, bad = system.signature, ~dx.isfinite()
-    row = int(bad.any(-1).int().argmax())
-    which = ", ".join(name for name, here in zip(signature.state_names, bad[row].tolist(), strict=True) if here)
-    states = zip(signature.state_names, x[row].tolist(), signature.state_units, strict=True)
-    place = [f"{name} is {value:.3g} {unit}" for name, value, unit in states]
-    place += [f"{name} is {value:.3g}" for name, value in zip(signature.input_names, u[row].tolist(), strict=True)]
-    return (
-        f"system {type(system).__name__} gives rates of change that are not finite, of {which}, where "
-        f"{', '.join(place)}, and at {int(bad.any(-1).sum())} of {len(bad)} places that were tried within plant.bounds "
-        "and the ranges of the states"
     )
 
 

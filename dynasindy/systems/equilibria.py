@@ -68,7 +68,6 @@ class Equilibria:
     needed: Tensor
 
     def __len__(self) -> int:
-        """Count the references that have a rest."""
         return len(self.targets)
 
     def middle(self) -> int:
@@ -207,16 +206,13 @@ class _Search:
         return dx[..., self.moved]
 
     def left(self, v: Tensor, targets: Tensor) -> Tensor:
-        """Return the largest rate of change, `(*batch,)`."""
         return self.residual(v, targets).abs().amax(-1).nan_to_num(torch.inf)
 
     def inside(self, v: Tensor, targets: Tensor) -> Tensor:
-        """Return where inputs lie within their limits, bool `(*batch,)`."""
         u = self.parts(v, targets)[1]
         return ((u >= self.limits[0] - 1e-6) & (u <= self.limits[1] + 1e-6)).all(-1)
 
     def solve(self, targets: Tensor, v: Tensor) -> Tensor:
-        """Return the unknowns with the least rates of change, `(n, m)`."""
         eye = torch.eye(v.shape[-1], dtype=v.dtype)
         damping, v = torch.full((len(v), 1, 1), 1e-3, dtype=v.dtype), v.clone()
         now = self.residual(v, targets).nan_to_num(1e6, 1e6, -1e6)

@@ -189,7 +189,6 @@ class Machine:
 
 
 def _rows(n_x: int, n_u: int, width: int) -> int:
-    """Return how many rows are handled at once."""
     return width if n_x * (n_x + n_u) <= MANY else 1
 
 

@@ -51,7 +51,6 @@ class Rates:
         self.f, self.step = f, step
 
     def __call__(self, x: Tensor, u: Tensor) -> Tensor:
-        """Compute rates of change, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
         return self.f(x, u)
 
 

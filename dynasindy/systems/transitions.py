@@ -121,7 +121,6 @@ class Transitions:
         return cls(x, u, x_next, parts[0].dt, torch.cat(segments), parts[0].substeps, u_end)
 
     def __len__(self) -> int:
-        """Count the transitions."""
         return self.x.shape[0]
 
     def inputs_of(self, rows: Tensor | slice | int) -> tuple[Tensor, Tensor | None]:

@@ -114,7 +114,6 @@ def draw_ablation(results: Path, level: Level) -> list[Path]:
 
 @styled
 def _draw_errors(curves: Curves, episode: ArrayLike, level: float, unit: str, title: str) -> Figure:
-    """Draw the error of the worse axis over episodes."""
     figure, (axis,) = panels(1, 1, (8.5, 3.8), title)
     _draw_bands(axis, curves, episode)
     axis.axhline(level, color=BLACK, linestyle="--", linewidth=0.9, label=f"required: at most {level:g} {unit}")

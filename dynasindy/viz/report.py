@@ -433,7 +433,6 @@ def _at_levels(time: Array, target: Array, y: Array) -> float:
 
 
 def _middle(values: Iterable[float] | Array) -> Array:
-    """Return the interquartile mean of the last dimension."""
     return interquartile_mean(torch.as_tensor(np.asarray(values, dtype=np.float64))).numpy()
 
 

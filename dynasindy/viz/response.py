@@ -138,6 +138,7 @@ def _error_fan(evaluation: Evaluation, title: str) -> Figure:
     return figure
 
 
+@styled
 def draw_evaluation(
     evaluation: Evaluation,
     folder: Path,
@@ -175,8 +176,11 @@ def draw_evaluation(
     figures = {name: tracking(evaluation.time, target, {label: x[:, columns]}, inputs, names, signature, title)}
     if evaluation.columns and len(evaluation.outputs) > 1:
         figures[f"{name}_errors"] = _error_fan(evaluation, f"{scenario}: error over all references")
-    for figure in figures.values():
-        _shade_disturbances(figure, evaluation.windows)
+    for figure in figures.values() if evaluation.windows else ():
+        for axis in figure.axes:
+            for start, end in evaluation.windows:
+                axis.axvspan(start, end, color=ORANGE, alpha=0.2, lw=0, label="disturbed")
+        legend(figure.axes[0], below=True)
     return save_figures(figures, folder, formats)
 
 
@@ -247,15 +251,6 @@ def _draw_excitation(found: tuple[Array, Array, Array], wiring: Wiring, guard: G
 def _row_times(seconds: Array, rows: Array) -> Array:
     """Return the times of rows, the last of which may be a row after the last control period."""
     return seconds if len(rows) <= len(seconds) else np.append(seconds, time_span(seconds)[1])
-
-
-@styled
-def _shade_disturbances(figure: Figure, windows: Sequence[tuple[float, float]]) -> None:
-    for start, end in windows:
-        for axis in figure.axes:
-            axis.axvspan(start, end, color=ORANGE, alpha=0.2, lw=0, label="disturbed")
-    if windows:
-        legend(figure.axes[0], below=True)
 
 
 def _draw_range(figure: Figure, axis: Axes, ends: Sequence[float]) -> None:

@@ -109,7 +109,6 @@ def periods(table: pd.DataFrame, inputs: Sequence[str]) -> pd.DataFrame:
 
 @styled
 def _learning_curve(progress: pd.DataFrame, untrained: float) -> Figure:
-    """Draw the return of the exploring policy of each real episode, and that of evaluations, the first at episode 0."""
     x, y = array(progress["episode"]), array(progress["return"])
     evaluated = progress.dropna(subset="evaluated_return")
     figure, (axis,) = panels(1, 1, (7.0, 3.6), "Learning curve")
