@@ -52,14 +52,16 @@ def test_a_bad_value_of_any_part(refused, tmp_path, key, given):
     ("key", "meant"),
     [
         ("planning.rolouts", "'rollouts'"),
-        ("duration", "'excitation.duration'"),
+        ("duration", "'excitation.duration'"),  # and not evaluation, which is spelt alike
+        ("episodes", "'train.episodes' or 'scenario.episodes'"),
+        ("planning.seed", "did you mean 'seed'"),
         ("checkpoint.xyz", "every"),
     ],
 )
 def test_a_key_that_does_not_exist(refused, tmp_path, key, meant):
     planning = ["planning=dyna"] if key.endswith("rolouts") else []
     line = refused("train", *planning, f"{key}=1", cwd=tmp_path)
-    assert f"'{key.rpartition('.')[2]}'" in line and meant in line
+    assert f"'{key.rpartition('.')[2]}'" in line and meant in line and "allowed are" in line
 
 
 @pytest.mark.parametrize("words", [["planning.lrr=3", "seed=0,1"], ["-m", "seed=0,1", "planning.lrr=3", "sead=1"]])

@@ -258,18 +258,6 @@ def proportional_loop():
     return env, proportional
 
 
-def final_error(env, policy):
-    state = env.rollout(600, policy)["next", "state"][-20:, 0]
-    return float((0.2 - state).abs().mean())
-
-
-def test_integral_removes_the_steady_error():
-    env, proportional = proportional_loop()
-    without = final_error(env, proportional)
-    assert without > 0.02
-    assert final_error(env, IntegralAction(proportional, env, gain=1.0, band=1.0)) < 0.1 * without
-
-
 def test_an_output_without_a_rate_is_integrated_as_if_it_stood_still():
     plant = Pendulum()
     outputs, reward = ("Omega", "theta"), TrackingReward((4.0,))

@@ -67,6 +67,10 @@ def test_it_is_judged_as_a_run_is(share, worst, away):
     assert Forecast((flight,)).promised == verdict.controlled
 
 
+def constant(u):
+    return lambda tensordict: tensordict.set("action", torch.full((*tensordict.batch_size, 1), u))
+
+
 class Exploding(System):
     def __init__(self):
         super().__init__(Pendulum().signature)
@@ -82,11 +86,8 @@ def test_each_model_is_flown_in_the_place_of_the_plant():
     task = Tracking(plant.signature, Step([[target]]), ("theta",), ("Omega",), TrackingReward((4.0,)), max_steps=600)
     env = ControlEnv(plant, task, 0.1, 2, dtype=torch.float64)
 
-    def constant(tensordict):
-        return tensordict.set("action", torch.full((*tensordict.batch_size, 1), 0.2))
-
     heavier = Pendulum(max_torque=10.0)
-    found = Forecast.of([Exploding(), plant, heavier], env, constant, Scenario("step", episodes=1, seconds=30.0))
+    found = Forecast.of([Exploding(), plant, heavier], env, constant(0.2), Scenario("step", episodes=1, seconds=30.0))
     assert found.flights[0] is None
     assert found.flights[1].share["theta"] < 1e-3
     off = target - float(torch.asin(torch.tensor(10 * 0.2 / 9.81)))
@@ -104,15 +105,16 @@ class Car(System):
         return torch.stack([x[..., 1], u[..., 0] - x[..., 1]], -1)
 
 
+def driven(car, dt=0.1):
+    task = Tracking(car.signature, Step([[0.5]]), ("Omega",), (None,), TrackingReward((1.0,)), max_steps=600)
+    return ControlEnv(car, task, dt, dtype=torch.float64)
+
+
 def test_a_state_that_nothing_depends_on_may_run_on():
     car = Car()
-    task = Tracking(car.signature, Step([[0.5]]), ("Omega",), (None,), TrackingReward((1.0,)), max_steps=600)
-    env = ControlEnv(car, task, dtype=torch.float64)
+    env = driven(car, 0.05)
 
-    def constant(tensordict):
-        return tensordict.set("action", torch.full((*tensordict.batch_size, 1), 0.5))
-
-    found = Forecast.of([car], env, constant, Scenario("step", episodes=1, seconds=30.0))
+    found = Forecast.of([car], env, constant(0.5), Scenario("step", episodes=1, seconds=30.0))
     assert found.promised
     assert list(found.flights[0].idle) == ["theta"]
 
@@ -120,21 +122,17 @@ def test_a_state_that_nothing_depends_on_may_run_on():
 def test_a_plant_is_as_far_off_as_pushes_hold_it():
     """A speed v' = u - v that is pushed by p at the end of each period h rests at u + p / (1 - exp(-h)) then."""
     car, push = Car(), torch.tensor([[0.0, 0.002]], dtype=torch.float64)
-    task = Tracking(car.signature, Step([[0.5]]), ("Omega",), (None,), TrackingReward((1.0,)), max_steps=600)
-    env = ControlEnv(car, task, 0.1, dtype=torch.float64)
-
-    def constant(tensordict):
-        return tensordict.set("action", torch.full((*tensordict.batch_size, 1), 0.5))
+    env = driven(car)
 
     still = Scenario("step", episodes=3, seconds=30.0)
-    found = Forecast.of([car, car], env, constant, still, pushes=push.expand(40, -1))
+    found = Forecast.of([car, car], env, constant(0.5), still, pushes=push.expand(40, -1))
     off = 0.002 / (1 - np.exp(-0.1))
     for flight in found.flights:  # of pushes that are always alike no log has too few
         assert flight.share["Omega"] == pytest.approx(off, rel=1e-3) == flight.worst["Omega"]
     assert list(found.flights[0].idle) == ["theta"]
     once = torch.zeros(60, 2, dtype=torch.float64)
     once[7] = push
-    rare = Forecast.of([car, car], env, constant, still, pushes=once)
+    rare = Forecast.of([car, car], env, constant(0.5), still, pushes=once)
     first, second = (flight.share["Omega"] for flight in rare.flights)
     assert first < 0.1 * off and 1.3 * first < second < 2 * first
 
@@ -148,15 +146,11 @@ class Falling(Car):
 
 def test_a_model_that_only_pushes_make_diverge_promises_nothing():
     car = Falling()
-    task = Tracking(car.signature, Step([[0.5]]), ("Omega",), (None,), TrackingReward((1.0,)), max_steps=100)
-    env = ControlEnv(car, task, 0.1, dtype=torch.float64)
-
-    def constant(tensordict):
-        return tensordict.set("action", torch.full((*tensordict.batch_size, 1), 0.5))
+    env = driven(car)
 
     still, push = Scenario("step", episodes=1, seconds=10.0), torch.tensor([[0.0, 2.0]], dtype=torch.float64)
-    assert Forecast.of([car], env, constant, still).controlled
-    assert not Forecast.of([car], env, constant, still, pushes=push).controlled
+    assert Forecast.of([car], env, constant(0.5), still).controlled
+    assert not Forecast.of([car], env, constant(0.5), still, pushes=push).controlled
 
 
 def flown(delay, inputs):

@@ -76,13 +76,6 @@ def test_a_gust_after_the_step_is_no_part_of_it() -> None:
     assert torch.equal(always["settling_time"], polluted["settling_time"])
 
 
-def test_a_step_that_fails_is_infinite_and_not_lost() -> None:
-    stuck = torch.zeros(len(TIME), 1, dtype=torch.float64)
-    metrics = measure(stuck, stuck + 0.4)
-    assert metrics["rise_time"].item() == math.inf
-    assert metrics["settling_time"].item() == math.inf
-
-
 def test_step_metrics_are_nan_where_there_is_no_step() -> None:
     still = torch.zeros(len(TIME), 1, dtype=torch.float64)
     moving = 0.35 * torch.sin(TIME).unsqueeze(-1)

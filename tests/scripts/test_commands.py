@@ -1,7 +1,10 @@
 """The commands of dynasindy: which there are, what they imply, and what they leave where something is wrong."""
 
+import hashlib
+import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -10,6 +13,7 @@ from pathlib import Path
 import forked
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import OmegaConf
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = {"torch", "torchrl", "tensordict", "pysindy", "scipy", "sympy", "matplotlib"}
@@ -96,7 +100,7 @@ def test_each_command_has_all_that_it_imports_in_a_process_of_its_own(tmp_path):
 @pytest.fixture
 def words(monkeypatch):
     """Return the module that reads the words of a command line."""
-    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "scripts")
+    monkeypatch.syspath_prepend(ROOT / "scripts")
     import command
 
     return command
@@ -162,13 +166,10 @@ def test_a_heading_with_brackets_is_text_though_the_shell_took_its_quotation_mar
     assert {found.key_or_group: found.value()} == read
 
 
-SCRIPTS = Path(__file__).parents[2] / "scripts"
-
-
 def unread(*arguments, cwd):
     """Run Python with an output that has lost its reader before the first line; return exit code and stderr."""
     ours = [sys.executable, *arguments]
-    environment = {**os.environ, "PYTHONPATH": str(SCRIPTS)}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "scripts")}
     with subprocess.Popen(
         ours, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd, env=environment
     ) as process:
@@ -191,7 +192,10 @@ def test_an_error_is_told_though_nobody_reads_the_output(tmp_path):
 def test_a_pipe_that_is_not_the_output_breaks_loudly(tmp_path):
     code = "from cli import pipe_guard\nwith pipe_guard():\n    raise BrokenPipeError('a worker died')"
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(SCRIPTS)}
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT / "scripts")},
     )
     assert done.returncode == 1 and "a worker died" in done.stderr
 
@@ -234,36 +238,162 @@ def test_several_values_without_a_sweep_say_how_to_ask_for_one(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "benchmark.py"
-
-
 @pytest.mark.parametrize("argv", [[], ["td4"]])
 def test_unknown_benchmark_gets_one_line_that_names_the_known_ones(argv):
-    done = subprocess.run([sys.executable, SCRIPT, *argv], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, ROOT / "scripts" / "benchmark.py", *argv], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
     assert "gradient" in done.stderr and "rigs" in done.stderr and "common" not in done.stderr
     assert (argv[0] if argv else "none") in done.stderr
 
 
-REPOSITORY = Path(__file__).parents[2]
-
-
-def report(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return forked.call("report", *arguments, cwd=cwd)
-
-
 def test_a_folder_without_anything_saved_is_refused_and_no_page_is_written(tmp_path: Path) -> None:
-    done = report(cwd=tmp_path)
+    done = forked.call("report", cwd=tmp_path)
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.startswith("error: docs/results ") and "results=FOLDER" in done.stderr
     assert not list(tmp_path.iterdir())
 
 
 def test_the_saved_runs_of_the_repository_name_no_machine() -> None:
-    files = list((REPOSITORY / "docs" / "results" / "runs").rglob("*"))
+    files = list((ROOT / "docs" / "results" / "runs").rglob("*"))
     texts = {file: file.read_text() for file in files if file.is_file()}
     assert not [
         str(file) for file, text in texts.items() if any(word in text for word in ("/tmp", "/root", "/home", "/work"))
     ]
     assert not [str(file) for file in files if file.suffix in (".pt", ".png")]
+
+
+def test_only_jobs_of_the_present_command_are_counted(tmp_path):
+    earlier = tmp_path / "runs" / "ablation" / "xi" / "smoke" / "direct"
+    for name in ("other", "agent.critics-0"):
+        (earlier / name / "seed_1").mkdir(parents=True)
+        (earlier / name / "seed_1" / "error.txt").write_text("error: earlier\n")
+    words = ("experiment=smoke", "system=xi", "setting=direct", "seed=1", "results=results", "agent.critics=1,0")
+    done = forked.call("ablation", *words, "hydra/launcher=basic", cwd=tmp_path, timeout=600)
+    last = done.stderr.strip().splitlines()[-1]
+    assert done.returncode == 2 and last.startswith("error: 2 ")
+    assert re.findall(r"direct/(\S+?)/seed_1", last) == ["agent.critics-0", "agent.critics-1"]
+    assert (earlier / "other" / "seed_1" / "error.txt").read_text() == "error: earlier\n"
+
+
+def test_the_file_of_the_page_is_a_rig_that_only_a_connection_is_missing_of(tmp_path):
+    page = (ROOT / "docs" / "rig.md").read_text()
+    (block,) = re.findall(r"`my_rig/system/arm.yaml`\n\n```yaml\n(.*?)```", page, re.S)
+    (tmp_path / "system").mkdir()
+    (tmp_path / "system" / "arm.yaml").write_text(block)
+    words = ["--config-dir", str(tmp_path), "system=arm", f"folder={tmp_path}/run"]
+    done = forked.call("rig", *words)
+    assert done.returncode == 2
+    assert "angle within -1.5 to 1.5 rad" in done.stdout and "rig=udp" in done.stderr
+
+
+LOGGED = {"data": {"_target_": "dynasindy.identification.identify.LoggedData", "path": "log.csv"}, "system": None}
+
+
+@pytest.mark.parametrize("settings", [LOGGED, {"rig": {"_target_": "dynasindy.rig.udp.connect"}}])
+def test_a_run_without_a_simulated_plant_says_that_there_is_none_to_fly(tmp_path, settings):
+    settings = {**settings, "plant": {"outputs": ["theta"]}}
+    (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(settings))
+    (tmp_path / "metrics.json").write_text("{}")
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, str(ROOT / "scripts" / "evaluate.py"), f"run={tmp_path}"]
+    done = forked.run(command, env=environment, timeout=300)
+    assert done.returncode == 2
+    assert f"python scripts/check.py run={tmp_path}" in done.stderr
+
+
+def test_a_job_of_a_sweep_is_done_again_if_its_log_is_another_one(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "scripts")
+    import saved_run
+
+    file, run = tmp_path / "log.csv", tmp_path / "run"
+    run.mkdir()
+    cfg = OmegaConf.create({"model": None, "data": {"path": str(file)}})
+    file.write_text("time,y,u\n")
+    read = saved_run._digests(cfg)
+    assert read[str(file)] == hashlib.sha256(b"time,y,u\n").hexdigest()
+    (run / "origin.json").write_text(json.dumps({"command": "train.py", "read": read}))
+    assert saved_run._finished(run, read) is False  # it has forecast nothing yet
+    (run / "metrics.json").write_text('{"prediction": {"controlled": true}}')
+    assert saved_run._finished(run, read) is True
+    assert saved_run._finished(run, saved_run._digests(OmegaConf.merge(cfg, {"seed": 1}))) is False
+    file.write_text("time,y,u\n0,1,2\n")
+    assert saved_run._finished(run, saved_run._digests(cfg)) is False
+
+
+@pytest.fixture
+def steps(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "scripts")
+    monkeypatch.setattr(sys, "argv", ["scripts/train.py"])
+    import cli
+
+    return cli
+
+
+@pytest.fixture
+def improvements(steps):
+    import saved_run
+
+    return saved_run.improvements
+
+
+def read(line):
+    """Return what a shell makes of a command."""
+    return shlex.split(line, comments=True)
+
+
+@pytest.mark.parametrize(
+    ("words", "keys", "kept"),
+    [
+        (["data=csv", "data.path=my log.csv", "folder=x"], ["folder"], ["data=csv", "data.path=my log.csv"]),
+        (["excitation=aprbs", "data.noise=0.1", "formats=[pdf]"], ["data", "formats"], ["excitation=aprbs"]),
+        (["+plant.bounds={z: 1}", "hydra/launcher=basic"], ["hydra"], ["+plant.bounds={z: 1}"]),
+        (["plant.known={q: w}", "+plant.start={q: 1}"], ["plant.known"], ["+plant.start={q: 1}"]),
+    ],
+)
+def test_words_are_left_out_by_key_or_group_and_a_shell_gives_the_others_back(steps, words, keys, kept):
+    assert steps.without(words, *keys) == kept
+    assert read(steps.command_line("identify", kept, "does it")) == ["python", "scripts/identify.py", *kept]
+
+
+def test_a_command_has_the_folder_of_the_users_settings(steps, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["scripts/rig.py", "--config-dir", "my rig", "system=arm"])
+    assert read(steps.command_line("rig", ["system=arm"]))[1:] == [
+        "scripts/rig.py",
+        "--config-dir",
+        "my rig",
+        "system=arm",
+    ]
+    evaluate, check = steps.run_steps("a run", "evaluate", "check")
+    assert read(evaluate)[1:] == ["scripts/evaluate.py", "--config-dir", "my rig", "run=a run"]
+    assert read(check)[1] == "scripts/check.py"
+
+
+def test_a_plant_that_is_not_controlled_is_offered_a_look_and_more_episodes_but_no_export(improvements):
+    words = ["system=xi", "train.episodes=2", "folder=runs/a b", "hydra.run.dir=x"]
+    head, check, more = improvements("runs/a b", words, 2).split("\n")
+    assert head == "next:" and read(check) == ["python", "scripts/check.py", "run=runs/a b"]
+    assert read(more)[2:] == ["system=xi", "hydra.run.dir=x", "train.episodes=4"]
+    for smoke in ("experiment=smoke", "experiment=gradient_smoke"):
+        tried = improvements("a", ["system=xi", smoke, "train.episodes=2", "seed=3"], 2).split("\n")
+        assert read(tried[2])[2:] == ["system=xi", "seed=3", "train.episodes=4"]
+    assert improvements("a", ["resume=a"], 2).count("\n") == 1  # a run that goes on takes no other settings
+    (_, more) = improvements("a", ["system=xi"], 1, checked=False, imagined=0.02).split("\n")
+    assert "system=xi planning.updates=" in more and "train.episodes" not in more  # the model is not what fails
+    (_, more) = improvements("a", [], 1, checked=False).split("\n")
+    assert read(more)[2:] == ["train.episodes=3"]
+
+
+def test_a_plan_from_a_log_that_does_not_hold_is_offered_what_the_log_lacks(improvements):
+    words = ["data=csv", "data.path=my log.csv", "plant.outputs=[angle]", "system=tras", "planning.lr=1"]
+    words.append("plant.known={angle: rate}")
+    _, check, identify = improvements("a", words).split("\n")
+    assert "check.py run=a" in check
+    assert read(identify) == ["python", "scripts/identify.py", *(w for w in words if not w.startswith("planning"))]
+    assert "identify" not in improvements("a", ["model=model.json"])
+    (_, alone) = improvements("a", words, lacking=True).split("\n")  # a check would ask the model that lacks something
+    assert read(alone) == read(identify)
+    (_, alone) = improvements("a", ["system=xi", "seed=3"], 1, lacking=True).split("\n")
+    assert read(alone) == ["python", "scripts/identify.py", "system=xi"]

@@ -16,7 +16,6 @@ from dynasindy.systems import Tras, integrate
 from dynasindy.systems.base import Signature
 from dynasindy.systems.compiler import compiler
 from dynasindy.systems.machine import Machine
-from dynasindy.systems.steps import Stops
 
 SIGNATURE = Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
 NAMES = ["paper_table", "paper_equation", "rotor", "rotor_reaction", "polynomial"]
@@ -120,19 +119,6 @@ def test_states_and_derivatives_equal_double_precision(names):
         torch.func.jacrev(lambda z: reference(library, xi, z[:2], z[2:], 0.1, 2)[0][-1])
     )(whole)  # fmt: skip
     torch.testing.assert_close(torch.cat([a, b], -1), slopes.float(), rtol=5e-5, atol=5e-6)
-
-
-def test_stops_hold_positions_and_say_where_they_were_touched():
-    library, xi = made([CONSTANT, B, U])
-    xi[:, 0] = torch.tensor([0.0, 1.0, 0.0])
-    xi[:, 1] = torch.tensor([0.0, 0.0, 5.0])
-    stops = Stops((0,), (1,), (-0.3,), (0.4,))
-    x, u = drawn(97, reach=0.5)
-    samples, touched = one_period(Machine(Writer(library, xi).program()), x, u, 0.4, 4, stops)
-    wanted, where = reference(library, xi, x, u, 0.4, 4, stops)
-    torch.testing.assert_close(samples, wanted.float(), rtol=1e-5, atol=1e-6)
-    assert torch.equal(touched, where) and 10 < int(touched.sum()) < 90
-    assert not one_period(Machine(Writer(library, xi).program()), x, u, 0.4, 4)[1].any()
 
 
 def test_a_model_is_as_its_coefficients_are_whichever_of_them_are_zero_or_one():

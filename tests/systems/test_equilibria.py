@@ -1,17 +1,14 @@
-"""Rests of plants whose rests are known in closed form."""
+"""Rests and modes of plants whose rests are known in closed form or published."""
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from scipy.linalg import expm
 
-from dynasindy.systems import Pendulum, Signature, System
-from dynasindy.systems.equilibria import (
-    LocalModes,
-    find_equilibria,
-    growth,
-)
+from dynasindy.systems import Pendulum, Signature, System, Tras, Xi
+from dynasindy.systems.equilibria import Equilibria, LocalModes, find_equilibria, growth, modes
 
 
 class Cart(System):
@@ -172,3 +169,55 @@ def test_a_deviation_doubles_as_the_fastest_mode_says_that_an_input_moves_or_an_
     )
     assert of_first == pytest.approx(math.log(2) / 3) and of_second == pytest.approx(math.log(2) / 40)
     assert LocalModes(Pendulum(), torch.zeros(2), torch.zeros(1), [0]).doubling == math.inf
+
+
+OUTPUTS = (0, 1)
+
+
+def equilibria_of(system: System, targets: torch.Tensor) -> Equilibria:
+    return find_equilibria(system, OUTPUTS[: targets.shape[-1]], targets, torch.zeros(system.signature.n_x), 0.05)
+
+
+def test_a_plant_whose_only_state_is_held_rests_where_its_input_makes_up_for_its_loss():
+    """x' = -2 x + 3 u rests at x with u = 2 x / 3."""
+
+    class Box(System):
+        def __init__(self):
+            super().__init__(Signature(("x",), ("-",), ("u",), (1.0,)))
+
+        def forward(self, x, u):
+            return -2 * x + 3 * u
+
+    found = equilibria_of(Box(), torch.tensor([[0.3]]))
+    assert float(found.x) == pytest.approx(0.3) and float(found.u) == pytest.approx(0.2)
+
+
+def test_equilibria_of_xi_are_those_known():
+    known = {-0.5: (-0.157, -0.131), -0.25: (-0.139, 0.044), 0.0: (-0.122, 0.210), 0.4: (-0.100, 0.432)}
+    reference = torch.tensor([[0.3, pitch] for pitch in known])
+    found = equilibria_of(Xi(), reference)
+    torch.testing.assert_close(found.u.float(), torch.tensor(list(known.values())), atol=1e-3, rtol=0)
+    torch.testing.assert_close(found.x[:, :2], reference.double())
+
+
+@pytest.mark.parametrize("system", [Tras(), Xi()])
+def test_a_system_stays_at_its_equilibrium(system):
+    found = equilibria_of(system, torch.rand(12, 2) - 0.5)
+    assert found.x.shape == (12, 6)
+    scale = torch.tensor(system.signature.x_scale)
+    assert (system(found.x, found.u) / scale).abs().max() < 1e-8
+
+
+def test_a_reference_that_is_no_number_has_no_equilibrium():
+    found = equilibria_of(Tras(), torch.tensor([[0.0, float("nan")], [0.1, 0.0]]))
+    assert found.targets.tolist() == [[pytest.approx(0.1), 0.0]] and len(found.unheld) == 1
+
+
+def test_modes_of_a_difference_equation_are_logarithms_of_what_it_multiplies_by():
+    """-0.6 every 0.1 s halves in turns of 0.2 s: log(0.6) / 0.1 + pi / 0.1 i; what is gone at once is gone fast."""
+    a = torch.diag(torch.tensor([-1.6, -0.5, -1.0], dtype=torch.float64)) / 0.1
+    found = modes(a, 0.1)
+    assert complex(found[0]) == pytest.approx(complex(np.log(0.6), np.pi) / 0.1)
+    assert complex(found[1]) == pytest.approx(np.log(0.5) / 0.1)
+    assert float(found[2].real) == pytest.approx(np.log(1e-6) / 0.1)
+    assert sorted(modes(a).real.tolist()) == pytest.approx([-16.0, -10.0, -5.0])

@@ -34,20 +34,6 @@ def test_rk4_is_of_fourth_order():
     assert orders == pytest.approx([4, 4, 4], abs=0.1)
 
 
-def test_input_is_held_over_the_period():
-    # x' = u with u = 3 held for 0.5 s moves by exactly 1.5, in equal samples.
-    samples, _ = integrate(lambda x, u: u, torch.zeros(2, 1), torch.full((2, 1), 3.0), 0.5, 5)
-    assert torch.allclose(samples[0, :, 0], torch.tensor([0.3, 0.6, 0.9, 1.2, 1.5]))
-
-
-def test_touching_within_the_period_is_reported():
-    stops = Stops((0,), (1,), (-1.0,), (1.0,))
-    x = torch.tensor([[0.9, 2.0], [0.0, 0.1]])
-    samples, touched = integrate(lambda x, u: torch.stack((x[..., 1], 0 * x[..., 1]), -1), x, x, 0.1, 5, stops)
-    assert touched.tolist() == [True, False]
-    assert samples[0, -1].tolist() == [1.0, 0.0]
-
-
 def test_a_stop_touched_only_on_the_way_is_reported_and_every_sample_is_held():
     """Thrown up to the stop at 1, pulled back: it touches in the second of four sub-steps and leaves again."""
     stops = Stops((0,), (1,), (-9.0,), (1.0,))
@@ -58,6 +44,8 @@ def test_a_stop_touched_only_on_the_way_is_reported_and_every_sample_is_held():
     # 0.2 s: 0.5 + 0.8 - 0.16 = 1.14 is held at 1, rate 4 - 1.6 = 2.4 is zeroed; then 1 - 4 t^2 from rest.
     expected = torch.tensor([[1.0, 0.0], [0.84, -1.6], [0.36, -3.2], [-0.44, -4.8]], dtype=torch.float64)
     torch.testing.assert_close(samples, expected)
+    beside = integrate(field, torch.stack([x, 0 * x]), torch.stack([u, 0 * u]), 0.8, 4, stops)[1]
+    assert beside.tolist() == [True, False]
 
 
 class Doubling(System):

@@ -45,25 +45,6 @@ def test_known_solutions(dtype, close):
     )
 
 
-def test_slopes_of_a_product_differ_between_rows():
-    growth = Machine(Program(1, 1, (), ("x[0] * u[0]",)), torch.float64)
-    u = torch.linspace(-1.0, 1.0, 19, dtype=torch.float64).unsqueeze(-1)
-    a, b = growth.sensitivities(torch.ones_like(u), u, 0.5, 50)
-    torch.testing.assert_close(a[..., 0], (0.5 * u).exp(), rtol=1e-9, atol=0)
-    torch.testing.assert_close(b[..., 0], 0.5 * (0.5 * u).exp(), rtol=1e-9, atol=0)
-
-
-def test_a_stop_holds_what_moves_outwards_and_lets_go_what_moves_inwards():
-    wall = Stops((0,), (1,), (-1.0,), (1.0,))
-    x = torch.tensor([[0.99, 5.0], [-0.99, -5.0], [1.0, -2.0]], dtype=torch.float64)
-    samples, touched = one_period(
-        Machine(SPRING, torch.float64), x, torch.zeros(3, 1, dtype=torch.float64), 0.01, 1, wall
-    )
-    assert samples[0, 0].tolist() == [1.0, 0.0] and samples[1, 0].tolist() == [-1.0, 0.0]
-    assert samples[2, 0, 0] < 1.0 and samples[2, 0, 1] < -2.0
-    assert touched.tolist() == [True, True, False]
-
-
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("rows", [(), (1,), (37,), (2, 3)])
 @pytest.mark.parametrize("step", [None, 0.05])
