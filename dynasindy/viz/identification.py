@@ -12,21 +12,7 @@ from numpy.typing import ArrayLike
 from dynasindy.identification.identify import Identified
 from dynasindy.systems import Signature
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.viz.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    RED,
-    Array,
-    array,
-    draw_input,
-    legend,
-    save_figures,
-    styled,
-    time_axis,
-    time_panels,
-    time_span,
-)
+from dynasindy.viz import style
 
 BEYOND = 0.6
 """A prediction is drawn as far as this part of the plant's own range beyond it."""
@@ -55,10 +41,10 @@ def draw_identification(found: Identified, folder: Path, formats: Sequence[str] 
     if len(validation):
         shown = later, validation.x_next, found.predicted, names, title, validation.segment, truth
         figures["prediction"] = prediction(*shown)
-    return save_figures(figures, folder, formats)
+    return style.save_figures(figures, folder, formats)
 
 
-@styled
+@style.styled
 def training_data(
     time: ArrayLike,
     x: ArrayLike,
@@ -80,25 +66,25 @@ def training_data(
         title: of the figure.
         segment: `(T,)` number of the unbroken stretch of each sample; lines break between them.
     """
-    seconds, values, moving = array(time), array(x), array(u)
+    seconds, values, moving = style.array(time), style.array(x), style.array(u)
     seen = [i for i in range(values.shape[1]) if not np.isnan(values[:, i]).all()]
     if unseen := [name for i, name in enumerate(signature.state_names) if i not in seen]:
         title = f"{title}; not measured: {', '.join(unseen)}"
     names = (*(signature.state_names[i] for i in seen), *signature.input_names)
     units = (*(signature.state_units[i] for i in seen), *("-",) * signature.n_u)
-    figure, axes = time_panels(names, units, title)
+    figure, axes = style.time_panels(names, units, title)
     times, shown, held = (_broken(rows, segment) for rows in (seconds, values, moving))
     for axis, i in zip(axes, seen, strict=False):
-        axis.plot(times, shown[:, i], color=BLUE)
+        axis.plot(times, shown[:, i], color=style.BLUE)
     for i, axis in enumerate(axes[len(seen) : len(names)]):
-        draw_input(axis, times, held, signature, i, color=BLUE)
+        style.draw_input(axis, times, held, signature, i, color=style.BLUE)
     restarts = seconds[np.isnan(moving).any(-1)]  # not all, which is true of a row without inputs
-    _mark(axes, restarts, color=RED, linestyle="--", linewidth=1.0, label="ended early, began anew")
+    _mark(axes, restarts, color=style.RED, linestyle="--", linewidth=1.0, label="ended early, began anew")
     _finish(figure, seconds, segment)
     return figure
 
 
-@styled
+@style.styled
 def prediction(
     time: ArrayLike,
     real: ArrayLike,
@@ -122,10 +108,10 @@ def prediction(
         segment: `(T,)` number of the unbroken stretch of each sample; lines break between them.
         truth: What the model is compared with: "real" states, the "plant", or a "log".
     """
-    seconds, truths, model = array(time), array(real), array(predicted)
+    seconds, truths, model = style.array(time), style.array(real), style.array(predicted)
     x = _broken(seconds, segment)
     names, whose = signature.state_names, "the real range" if truth == "real" else f"the {truth}'s range"
-    figure, axes = time_panels(names, signature.state_units, title)
+    figure, axes = style.time_panels(names, signature.state_units, title)
     for i in range(len(names)):
         known = truths[~np.isnan(truths[:, i]), i]
         scale = signature.x_scale[i]  # all that is known of the range of a state that was not measured
@@ -136,8 +122,8 @@ def prediction(
         with np.errstate(invalid="ignore"):  # what follows a loss would only streak the panel
             lost = (np.abs(ended if np.isnan(course).all() else ended - course) > LOST * wide) & (wide > 0)
         ended = np.where(np.logical_or.accumulate(lost | ~np.isfinite(ended)), np.nan, ended)
-        axes[i].plot(x, _broken(truths[:, i], segment), color=BLACK, linewidth=1.2, label=truth)
-        axes[i].plot(x, _broken(ended, segment), color=RED, linestyle=":", linewidth=1.8, label="predicted")
+        axes[i].plot(x, _broken(truths[:, i], segment), color=style.BLACK, linewidth=1.2, label=truth)
+        axes[i].plot(x, _broken(ended, segment), color=style.RED, linestyle=":", linewidth=1.8, label="predicted")
         whole = f"{f'{wide:.0f}' if wide >= 100 else f'{wide:.3g}'} {signature.state_units[i]}".removesuffix(" -")
         axes[i].set_title(_fit(truths[:, i], model[:, i], f"{whole}, {whose}"), fontsize=8.5, loc="right")
         measured = not np.isnan(truths[:, i]).all()
@@ -150,7 +136,7 @@ def prediction(
     return figure
 
 
-def _mark(axes: Sequence[Axes], places: Array, **look: Any) -> None:
+def _mark(axes: Sequence[Axes], places: style.Array, **look: Any) -> None:
     for place in places:
         for axis in axes:
             axis.axvline(place, **look)
@@ -158,24 +144,24 @@ def _mark(axes: Sequence[Axes], places: Array, **look: Any) -> None:
 
 def _breaks(segment: ArrayLike | None) -> list[int]:
     """Return the first samples of all stretches but the first."""
-    return [] if segment is None else (np.flatnonzero(np.diff(array(segment))) + 1).tolist()
+    return [] if segment is None else (np.flatnonzero(np.diff(style.array(segment))) + 1).tolist()
 
 
-def _broken(values: Array, segment: ArrayLike | None) -> Array:
+def _broken(values: style.Array, segment: ArrayLike | None) -> style.Array:
     """Put a row of NaN between segments, at which a line breaks."""
     return np.insert(values, _breaks(segment), np.nan, axis=0)
 
 
-def _finish(figure: Figure, seconds: Array, segment: ArrayLike | None) -> None:
+def _finish(figure: Figure, seconds: style.Array, segment: ArrayLike | None) -> None:
     """Mark where samples are missing or left out, unless that is everywhere, and name what the axes show."""
     breaks = _breaks(segment)
     if len(breaks) <= MOST:
-        _mark(figure.axes, seconds[breaks], color=GREY, linestyle=":", linewidth=0.9, label=GAP)
-    legend(figure.axes[0], below=True)
-    time_axis(figure, time_span(seconds), "time without the gaps" if breaks else "time")
+        _mark(figure.axes, seconds[breaks], color=style.GREY, linestyle=":", linewidth=0.9, label=GAP)
+    style.legend(figure.axes[0], below=True)
+    style.time_axis(figure, style.time_span(seconds), "time without the gaps" if breaks else "time")
 
 
-def _fit(real: Array, predicted: Array, whole: str) -> str:
+def _fit(real: style.Array, predicted: style.Array, whole: str) -> str:
     """Return the error of a prediction in words, in percent of the range of what it predicts, which is `whole`."""
     seen, finite = ~np.isnan(real), bool(np.isfinite(predicted).all())
     if not seen.any():

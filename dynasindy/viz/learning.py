@@ -26,18 +26,7 @@ from dynasindy.evaluation.ablation import (
     worst_errors,
 )
 from dynasindy.safe_io import file_name
-from dynasindy.viz.style import (
-    BLACK,
-    GREY,
-    Array,
-    array,
-    controller_name,
-    legend,
-    line_styles,
-    panels,
-    save_figures,
-    styled,
-)
+from dynasindy.viz import style
 
 Curves = Mapping[str, ArrayLike]
 """`(n_seeds, n_episodes)` values after each episode, per setting."""
@@ -51,7 +40,7 @@ OF_RANGE = "% of the target range"
 """Unit of errors where outputs in several units are compared."""
 
 
-@styled
+@style.styled
 def average_rewards(curves: Curves, episode: ArrayLike, title: str = "Average rewards") -> Figure:
     """Draw interquartile mean and 95 % bootstrap band over seeds of the return, one line per setting.
 
@@ -62,14 +51,14 @@ def average_rewards(curves: Curves, episode: ArrayLike, title: str = "Average re
         episode: `(n_episodes,)` numbers of the episodes.
         title: of the figure.
     """
-    figure, (axis,) = panels(1, 1, (8.5, 3.8), title)
-    size = np.abs(np.concatenate([array(values).ravel() for values in curves.values()]))
+    figure, (axis,) = style.panels(1, 1, (8.5, 3.8), title)
+    size = np.abs(np.concatenate([style.array(values).ravel() for values in curves.values()]))
     size = np.maximum(size[np.isfinite(size)], LINEAR)
     logarithmic = bool(size.max(initial=0.0) > WIDE * size.min(initial=np.inf))
     if logarithmic:
         axis.set_yscale("symlog", linthresh=LINEAR)
     _draw_bands(axis, curves, episode)
-    legend(axis)
+    style.legend(axis)
     axis.set_ylabel(f"return, logarithmic beyond {LINEAR:g} [-]" if logarithmic else "return [-]")
     return figure
 
@@ -97,7 +86,7 @@ def draw_ablation(results: Path, level: Level) -> list[Path]:
         shares = SHARE in lines and bool(lines[SHARE].notna().all())
         errors = _curves(lines, 100 * lines[SHARE] if shares else worst_errors(lines))
         few = [name for name in errors if re.fullmatch(r"rollouts_\d+", name)] if len(errors) > MOST_NAMED else []
-        chosen = {name: controller_name(name) for name in few or errors}
+        chosen = {name: style.controller_name(name) for name in few or errors}
         returns, errors = (
             {words: curves[name] for name, words in chosen.items()}
             for curves in (_curves(lines, lines["evaluated_return"]), errors)
@@ -108,17 +97,17 @@ def draw_ablation(results: Path, level: Level) -> list[Path]:
             "average_rewards": average_rewards(returns, episodes, f"Imagined rollouts: average rewards, {title}"),
             "steady_state_error": _draw_errors(errors, episodes, *judged, f"Steady-state error, {title}"),
         }
-        files += save_figures({f"{name}_{case}": figure for name, figure in figures.items()}, results)
+        files += style.save_figures({f"{name}_{case}": figure for name, figure in figures.items()}, results)
     return files
 
 
-@styled
+@style.styled
 def _draw_errors(curves: Curves, episode: ArrayLike, level: float, unit: str, title: str) -> Figure:
-    figure, (axis,) = panels(1, 1, (8.5, 3.8), title)
+    figure, (axis,) = style.panels(1, 1, (8.5, 3.8), title)
     _draw_bands(axis, curves, episode)
-    axis.axhline(level, color=BLACK, linestyle="--", linewidth=0.9, label=f"required: at most {level:g} {unit}")
+    axis.axhline(level, color=style.BLACK, linestyle="--", linewidth=0.9, label=f"required: at most {level:g} {unit}")
     axis.set_yscale("log")
-    legend(axis)
+    style.legend(axis)
     short = "% of range" if unit == OF_RANGE else unit
     when = "of the last 5 s" if unit == "rad" else "at the end"  # a slow plant's end is longer
     axis.set_ylabel(f"mean abs error {when}, worse axis [{short}]")
@@ -127,9 +116,9 @@ def _draw_errors(curves: Curves, episode: ArrayLike, level: float, unit: str, ti
 
 def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike) -> None:
     """Draw interquartile mean and 95 % bootstrap band over seeds per setting, or each of fewer than three seeds."""
-    seeds = {name: np.atleast_2d(array(values)) for name, values in curves.items()}
-    episodes = array(episode)[: max((rows.shape[1] for rows in seeds.values()), default=0)]
-    for (name, rows), line in zip(seeds.items(), line_styles(curves).values(), strict=True):
+    seeds = {name: np.atleast_2d(style.array(values)) for name, values in curves.items()}
+    episodes = style.array(episode)[: max((rows.shape[1] for rows in seeds.values()), default=0)]
+    for (name, rows), line in zip(seeds.items(), style.line_styles(curves).values(), strict=True):
         x = episodes[: rows.shape[1]]
         words = name.replace("$", r"\$")  # names of settings are no mathematics
         label = f"{words} ({len(rows)} seed{'s' * (len(rows) > 1)})"
@@ -148,15 +137,15 @@ def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike) -> None:
     counts = [len(rows) for rows in seeds.values()]
     if max(counts, default=0) >= FEWEST:
         words = f"; each seed where there are fewer than {FEWEST}" if min(counts) < FEWEST else ""
-        axis.plot([], [], color=GREY, label=f"line: interquartile mean over seeds{words}")
-        axis.plot([], [], color=GREY, alpha=0.3, linewidth=7, label="band: its 95 % bootstrap interval")
+        axis.plot([], [], color=style.GREY, label=f"line: interquartile mean over seeds{words}")
+        axis.plot([], [], color=style.GREY, alpha=0.3, linewidth=7, label="band: its 95 % bootstrap interval")
     room = 0.02 * (episodes[-1] - episodes[0]) + 1e-3
     axis.set_xlim(episodes[0] - room, episodes[-1] + room)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_xlabel("real episode")
 
 
-def _curves(rows: pd.DataFrame, values: pd.Series[float]) -> dict[str, Array]:
+def _curves(rows: pd.DataFrame, values: pd.Series[float]) -> dict[str, style.Array]:
     """Return `(n_seeds, n_episodes)` values per setting, over the episodes that all its seeds have."""
     curves = {}
     for setting, group in rows.assign(value=values).groupby("setting", sort=False):

@@ -17,27 +17,8 @@ from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.systems import Signature
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.text import format_duration
+from dynasindy.viz import style
 from dynasindy.viz.identification import training_data
-from dynasindy.viz.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    ORANGE,
-    RED,
-    Array,
-    array,
-    cut_time,
-    draw_input,
-    label,
-    legend,
-    line_styles,
-    panels,
-    save_figures,
-    styled,
-    time_axis,
-    time_panels,
-    time_span,
-)
 
 if TYPE_CHECKING:  # figures know a flight by its attributes alone
     from dynasindy.rig import Guard, Wiring
@@ -55,7 +36,7 @@ LEAST = 1e-5
 """Errors below this part of the band that is paid for are not drawn: ten millionths of a radian for the twin rotor."""
 
 
-@styled
+@style.styled
 def tracking(
     time: ArrayLike,
     reference: ArrayLike | None,
@@ -81,64 +62,66 @@ def tracking(
         title: of the figure.
         settling: Whether a reference that stays has what the step metrics use: the settling band and the final seconds.
     """
-    seconds = array(time)
-    target = np.zeros((len(seconds), 0)) if reference is None else array(reference)
+    seconds = style.array(time)
+    target = np.zeros((len(seconds), 0)) if reference is None else style.array(reference)
     inputs = inputs or {}
     names = names[: max(target.shape[1], MOST)]
     moving = signature.input_names if inputs else ()
     units = [signature.state_units[signature.state_index(name)] for name in names]
-    figure, axes = time_panels([*names, *moving], [*units, *("-" for _ in moving)], title)
+    figure, axes = style.time_panels([*names, *moving], [*units, *("-" for _ in moving)], title)
     settling = settling and bool(target.size and (target == target[0]).all())
     for i, axis in enumerate(axes[: len(names)]):
         if i < target.shape[1]:
-            look: Any = {"color": BLACK, "linestyle": "--", "linewidth": 1.2}
+            look: Any = {"color": style.BLACK, "linestyle": "--", "linewidth": 1.2}
             axis.plot(_row_times(seconds, target), target[:, i], label="reference", **look)
-        for (of, y), look in zip(outputs.items(), line_styles(outputs).values(), strict=True):
-            axis.plot(_row_times(seconds, array(y)), array(y)[:, i], label=of, **look)
+        for (of, y), look in zip(outputs.items(), style.line_styles(outputs).values(), strict=True):
+            axis.plot(_row_times(seconds, style.array(y)), style.array(y)[:, i], label=of, **look)
         if settling and i < target.shape[1]:
             # The band in which the step metrics call it settled.
             aim = float(target[0, i])
-            half = SETTLING_BAND * max((abs(aim - float(array(y)[0, i])) for y in outputs.values()), default=0.0)
-            axis.axhspan(aim - half, aim + half, color=GREY, alpha=0.2, lw=0, label=f"{100 * SETTLING_BAND:g} % band")
+            half = SETTLING_BAND * max((abs(aim - float(style.array(y)[0, i])) for y in outputs.values()), default=0.0)
+            axis.axhspan(
+                aim - half, aim + half, color=style.GREY, alpha=0.2, lw=0, label=f"{100 * SETTLING_BAND:g} % band"
+            )
     for i, axis in enumerate(axes[len(names) :]):
-        for (of, u), look in zip(inputs.items(), line_styles(inputs).values(), strict=True):
-            draw_input(axis, seconds, array(u), signature, i, linewidth=1.0, label=of, **look)
-    start, end = time_span(seconds)
-    time_axis(figure, (start, end))
-    if settling and len(seconds) > 1 and not cut_time(figure):
+        for (of, u), look in zip(inputs.items(), style.line_styles(inputs).values(), strict=True):
+            style.draw_input(axis, seconds, style.array(u), signature, i, linewidth=1.0, label=of, **look)
+    start, end = style.time_span(seconds)
+    style.time_axis(figure, (start, end))
+    if settling and len(seconds) > 1 and not style.cut_time(figure):
         steady = steady_seconds(float(seconds[1] - seconds[0]), len(seconds))
         text = f"steady state: last {format_duration(steady, longest=end - start, digits=3)}"
         for axis in axes[: target.shape[1]]:
-            axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=text)
-    legend(axes[0], below=True)
+            axis.axvspan(end - steady, end, color=style.GREY, alpha=0.08, lw=0, label=text)
+    style.legend(axes[0], below=True)
     return figure
 
 
-@styled
+@style.styled
 def _error_fan(evaluation: Evaluation, title: str) -> Figure:
     """Draw the absolute error over all references: median, middle half, 5 to 95 %, and the band that is paid for."""
-    seconds, names, units = array(evaluation.time), evaluation.output_names, [*evaluation.units.values()]
-    error = np.abs(array(evaluation.outputs) - array(evaluation.references))
+    seconds, names, units = style.array(evaluation.time), evaluation.output_names, [*evaluation.units.values()]
+    error = np.abs(style.array(evaluation.outputs) - style.array(evaluation.references))
     p05, p25, p50, p75, p95 = np.quantile(error, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0)
-    figure, axes = panels(len(names), 1, (7.0, 2.2 * len(names) + 0.5), f"{title} ({len(error)})")
+    figure, axes = style.panels(len(names), 1, (7.0, 2.2 * len(names) + 0.5), f"{title} ({len(error)})")
     for i, (axis, name, unit, box) in enumerate(zip(axes, names, units, evaluation.boxes, strict=True)):
-        axis.fill_between(seconds, p05[:, i], p95[:, i], color=BLUE, alpha=0.15, lw=0, label="5 to 95 %")
-        axis.fill_between(seconds, p25[:, i], p75[:, i], color=BLUE, alpha=0.3, lw=0, label="middle half")
-        axis.plot(seconds, p50[:, i], color=BLUE, label="median")
+        axis.fill_between(seconds, p05[:, i], p95[:, i], color=style.BLUE, alpha=0.15, lw=0, label="5 to 95 %")
+        axis.fill_between(seconds, p25[:, i], p75[:, i], color=style.BLUE, alpha=0.3, lw=0, label="middle half")
+        axis.plot(seconds, p50[:, i], color=style.BLUE, label="median")
         band = PAID * box
         text = f"the reward pays a bonus below {band:.3g}{f' {unit}' * (unit != '-')}"
-        axis.axhline(band, color=BLACK, linestyle=":", linewidth=1.0, label=text)
+        axis.axhline(band, color=style.BLACK, linestyle=":", linewidth=1.0, label=text)
         axis.set_yscale("log")
         # The wide band stays inside nearly all the time; what is less, or zero, leaves the axis.
         least = float(np.quantile(np.append(p05[p05[:, i] > 0, i], band), 0.1))
         axis.set_ylim(bottom=0.5 * max(least, LEAST * band))
-        axis.set_ylabel(f"|error| of {label(name, unit)}")
-    legend(axes[0], below=True)
-    time_axis(figure, time_span(seconds))
+        axis.set_ylabel(f"|error| of {style.label(name, unit)}")
+    style.legend(axes[0], below=True)
+    style.time_axis(figure, style.time_span(seconds))
     return figure
 
 
-@styled
+@style.styled
 def draw_evaluation(
     evaluation: Evaluation,
     folder: Path,
@@ -179,9 +162,9 @@ def draw_evaluation(
     for figure in figures.values() if evaluation.windows else ():
         for axis in figure.axes:
             for start, end in evaluation.windows:
-                axis.axvspan(start, end, color=ORANGE, alpha=0.2, lw=0, label="disturbed")
-        legend(figure.axes[0], below=True)
-    return save_figures(figures, folder, formats)
+                axis.axvspan(start, end, color=style.ORANGE, alpha=0.2, lw=0, label="disturbed")
+        style.legend(figure.axes[0], below=True)
+    return style.save_figures(figures, folder, formats)
 
 
 def draw_session(session: Session) -> list[Path]:
@@ -204,10 +187,10 @@ def draw_session(session: Session) -> list[Path]:
     for name, shown in session.shown.items():
         if len(shown.time):  # it did not end before its first sample
             figures[name] = _draw_flight(shown, session.wiring, session.guard, name)
-    return save_figures(figures, session.folder / "figures")
+    return style.save_figures(figures, session.folder / "figures")
 
 
-@styled
+@style.styled
 def _draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -> Figure:
     """Draw a flight on the time that was planned for it, and ranges of the guard that are near."""
     measured = {"measured": shown.outputs}
@@ -220,7 +203,7 @@ def _draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -
     figure = tracking(shown.time, shown.references, measured, inputs, shown.names, wiring.signature, title, False)
     for column, (axis, output) in enumerate(zip(figure.axes, shown.names, strict=False)):
         if np.isnan(shown.outputs[:, column]).all():
-            axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", va="center", color=GREY)
+            axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", va="center", color=style.GREY)
         for line in axis.lines:
             if line.get_label() == "reference":  # a target is held, and the next one follows at once
                 line.set_drawstyle("steps-post")
@@ -229,28 +212,30 @@ def _draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -
         _draw_range(figure, axis, guard.ranges.get(output, ()))
     for axis in figure.axes:
         if shown.fault:
-            axis.axvline(ended, color=RED, linewidth=1.0, label="ended, safe input")
-    time_axis(figure, (0.0, planned))
+            axis.axvline(ended, color=style.RED, linewidth=1.0, label="ended, safe input")
+    style.time_axis(figure, (0.0, planned))
     figure.axes[-1].set_xlim(right=planned * (1 + LATE * bool(shown.fault)))
-    legend(figure.axes[0], below=True)
+    style.legend(figure.axes[0], below=True)
     return figure
 
 
-@styled
-def _draw_excitation(found: tuple[Array, Array, Array], wiring: Wiring, guard: Guard, title: str) -> Figure:
+@style.styled
+def _draw_excitation(
+    found: tuple[style.Array, style.Array, style.Array], wiring: Wiring, guard: Guard, title: str
+) -> Figure:
     """Draw what an excitation moved, and ranges of the guard that are near."""
     time, states, inputs = found
     figure = training_data(time, states, inputs, wiring.signature, title)
     seen = [i for i in range(states.shape[1]) if not np.isnan(states[:, i]).all()]
     for axis, place in zip(figure.axes, seen, strict=False):
         _draw_range(figure, axis, guard.ranges.get(wiring.signature.state_names[place], ()))
-    legend(figure.axes[0], below=True)
+    style.legend(figure.axes[0], below=True)
     return figure
 
 
-def _row_times(seconds: Array, rows: Array) -> Array:
+def _row_times(seconds: style.Array, rows: style.Array) -> style.Array:
     """Return the times of rows, the last of which may be a row after the last control period."""
-    return seconds if len(rows) <= len(seconds) else np.append(seconds, time_span(seconds)[1])
+    return seconds if len(rows) <= len(seconds) else np.append(seconds, style.time_span(seconds)[1])
 
 
 def _draw_range(figure: Figure, axis: Axes, ends: Sequence[float]) -> None:
@@ -259,5 +244,5 @@ def _draw_range(figure: Figure, axis: Axes, ends: Sequence[float]) -> None:
     room = 0.3 * (top - bottom)
     for end in ends:
         if bottom - room < end < top + room:
-            axis.axhline(end, color=ORANGE, linestyle="-.", linewidth=1.0)
-            figure.axes[0].plot([], [], color=ORANGE, linestyle="-.", linewidth=1.0, label="range of the guard")
+            axis.axhline(end, color=style.ORANGE, linestyle="-.", linewidth=1.0)
+            figure.axes[0].plot([], [], color=style.ORANGE, linestyle="-.", linewidth=1.0, label="range of the guard")

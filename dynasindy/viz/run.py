@@ -15,21 +15,9 @@ from matplotlib.ticker import MaxNLocator
 from dynasindy.evaluation.ablation import read_ablation
 from dynasindy.safe_io import read_json
 from dynasindy.systems import Signature
+from dynasindy.viz import style
 from dynasindy.viz.identification import prediction, training_data
 from dynasindy.viz.response import tracking
-from dynasindy.viz.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    ORANGE,
-    RED,
-    Array,
-    array,
-    legend,
-    panels,
-    save_figures,
-    styled,
-)
 
 TYPICAL = "typical ranges"
 """Unit of an error of all states together, each of which counts by its typical range, `Signature.x_scale`."""
@@ -73,7 +61,7 @@ def draw_run(
         path = folder / "data" / f"prediction_{when}_episode.csv"
         if path.is_file():
             table = read_table(path)
-            real, predicted = array(table[names]), array(table[[f"predicted_{name}" for name in names]])
+            real, predicted = style.array(table[names]), style.array(table[[f"predicted_{name}" for name in names]])
             title = f"Open-loop prediction of the {when} real episode, model of {data}"
             figures[path.stem] = prediction(table["time"], real, predicted, signature, title)
     if (folder / "progress.csv").is_file():
@@ -95,7 +83,7 @@ def draw_run(
     title = f"{'Step response' if step else 'Response'}\n{which}".strip()  # which episode of how many it is
     y, u = {controller: response[outputs]}, {controller: held[inputs]}
     figures["step_response"] = tracking(held["time"], reference, y, u, outputs, signature, title)
-    return save_figures(figures, folder / "figures", formats)
+    return style.save_figures(figures, folder / "figures", formats)
 
 
 def periods(table: pd.DataFrame, inputs: Sequence[str]) -> pd.DataFrame:
@@ -107,25 +95,25 @@ def periods(table: pd.DataFrame, inputs: Sequence[str]) -> pd.DataFrame:
     return table[:-1] if ended else table
 
 
-@styled
+@style.styled
 def _learning_curve(progress: pd.DataFrame, untrained: float) -> Figure:
-    x, y = array(progress["episode"]), array(progress["return"])
+    x, y = style.array(progress["episode"]), style.array(progress["return"])
     evaluated = progress.dropna(subset="evaluated_return")
-    figure, (axis,) = panels(1, 1, (7.0, 3.6), "Learning curve")
-    axis.plot(x, y, color=BLUE, alpha=0.3, linewidth=0.9, marker=".", label="real episode, exploring")
+    figure, (axis,) = style.panels(1, 1, (7.0, 3.6), "Learning curve")
+    axis.plot(x, y, color=style.BLUE, alpha=0.3, linewidth=0.9, marker=".", label="real episode, exploring")
     if len(y) > WINDOW:
-        axis.plot(x, progress["return"].rolling(WINDOW, 1).mean(), color=BLUE, label=f"mean of {WINDOW} episodes")
+        axis.plot(x, progress["return"].rolling(WINDOW, 1).mean(), color=style.BLUE, label=f"mean of {WINDOW} episodes")
     episodes, returns = np.append(0, evaluated["episode"]), np.append(untrained, evaluated["evaluated_return"])
-    axis.plot(episodes, returns, color=RED, marker="o", markersize=3.5, label="evaluated policy")
+    axis.plot(episodes, returns, color=style.RED, marker="o", markersize=3.5, label="evaluated policy")
     axis.set_xlim(min(0.0, x.min(initial=0.0)) - 0.5, x.max(initial=1.0) + 0.5)
     axis.set_xlabel("real episode")
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_ylabel("return [-]")
-    legend(axis, below=True)
+    style.legend(axis, below=True)
     return figure
 
 
-@styled
+@style.styled
 def gate(decisions: pd.DataFrame, title: str = "Trust in the model", unit: str = "reward per period") -> Figure:
     """Draw the reward error with its thresholds, shaded while the gate is closed, and the test of each refit.
 
@@ -140,40 +128,40 @@ def gate(decisions: pd.DataFrame, title: str = "Trust in the model", unit: str =
         title: of the figure.
         unit: of the reward error.
     """
-    columns = {name: array(values) for name, values in decisions.items()}
+    columns = {name: style.array(values) for name, values in decisions.items()}
     x, whole, judged = (columns[name] for name in ("episode", "reward_error", "judged_reward_error"))
     before, after, back = columns["held_out_error_before"], columns["held_out_error_after"], columns["refit_kept"] == 0
-    figure, (upper, lower) = panels(2, 1, (8.5, 5.0), title)
-    upper.plot(x, whole, color=GREY, label="whole episode, before the refit", **DOTS)
-    upper.plot(x, judged, color=BLUE, label="held-out windows, judged", **DOTS)
+    figure, (upper, lower) = style.panels(2, 1, (8.5, 5.0), title)
+    upper.plot(x, whole, color=style.GREY, label="whole episode, before the refit", **DOTS)
+    upper.plot(x, judged, color=style.BLUE, label="held-out windows, judged", **DOTS)
     # Half an episode to each side, as the shade of a closed one is as wide.
     wide = np.concatenate([x[:1] - 0.5, x, x[-1:] + 0.5])
     for name, line, words in (("open_below", ":", "trusted below"), ("close_above", "--", "no longer trusted above")):
         bound = np.pad(columns[name], 1, mode="edge")
-        upper.plot(wide, bound, color=BLACK, linestyle=line, linewidth=0.9, label=f"{words} {columns[name][0]:g}")
+        upper.plot(wide, bound, color=style.BLACK, linestyle=line, linewidth=0.9, label=f"{words} {columns[name][0]:g}")
     for closed in x[columns["open"] == 0]:
-        upper.axvspan(closed - 0.5, closed + 0.5, color=GREY, alpha=0.25, linewidth=0, label="model not trusted")
-    lower.plot(x, before, color=ORANGE, label="before the refit", **DOTS)
-    lower.plot(x, after, color=BLUE, label="after the refit", **DOTS)
+        upper.axvspan(closed - 0.5, closed + 0.5, color=style.GREY, alpha=0.25, linewidth=0, label="model not trusted")
+    lower.plot(x, before, color=style.ORANGE, label="before the refit", **DOTS)
+    lower.plot(x, after, color=style.BLUE, label="after the refit", **DOTS)
     ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none", "linestyle": "none"}
     if back.any():
-        lower.plot(x[back], after[back], color=RED, label="rolled back", clip_on=False, **ring)
+        lower.plot(x[back], after[back], color=style.RED, label="rolled back", clip_on=False, **ring)
     upper.set_yscale("log")
     if bool(((before > 0) | (after > 0)).any()):
         lower.set_yscale("log")
-    _mark_divergence(upper, x[~np.isfinite(whole)], GREY)
-    _mark_divergence(upper, x[np.isinf(judged)], BLUE)
+    _mark_divergence(upper, x[~np.isfinite(whole)], style.GREY)
+    _mark_divergence(upper, x[np.isinf(judged)], style.BLUE)
     lower.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     lower.set_xlim(wide[0], wide[-1])
     lower.set_xlabel("real episode")
     upper.set_ylabel(f"reward error\n[{unit}]")
     lower.set_ylabel(f"held-out state error\n[{TYPICAL}]")
     for axis in (upper, lower):
-        legend(axis)
+        style.legend(axis)
     return figure
 
 
-def _mark_divergence(axis: Axes, x: Array, color: str) -> None:
+def _mark_divergence(axis: Axes, x: style.Array, color: str) -> None:
     """Mark at the upper edge of an axis, whose limits end with this, where an error was not finite."""
     _, top = axis.set_ylim(axis.get_ylim())
     if len(x):

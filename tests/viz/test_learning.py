@@ -54,7 +54,7 @@ def drawn(tmp_path, monkeypatch):
 
     def _draw(table, **level):
         found = {}
-        monkeypatch.setattr("dynasindy.viz.learning.save_figures", lambda figures, *_: found.update(figures) or [])
+        monkeypatch.setattr("dynasindy.viz.style.save_figures", lambda figures, *_: found.update(figures) or [])
         pd.DataFrame(table).to_csv(tmp_path / "ablation_curves.csv", index=False)
         draw_ablation(tmp_path, Level(**level))
         return found

@@ -86,7 +86,7 @@ def figures(monkeypatch):
 
     def _draw(evaluation: Evaluation) -> dict:
         drawn: dict = {}
-        monkeypatch.setattr(response, "save_figures", lambda figures, *_: drawn.update(figures))
+        monkeypatch.setattr(response.style, "save_figures", lambda figures, *_: drawn.update(figures))
         draw_evaluation(evaluation, Path("nowhere"))
         return drawn
 

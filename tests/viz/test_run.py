@@ -34,7 +34,7 @@ def figures(folder: Path, monkeypatch: pytest.MonkeyPatch):
 
     def _draw() -> dict:
         drawn: dict = {}
-        monkeypatch.setattr(run, "save_figures", lambda figures, *_: drawn.update(figures))
+        monkeypatch.setattr(run.style, "save_figures", lambda figures, *_: drawn.update(figures))
         draw_run(folder, Pendulum().signature)
         return drawn
 
