@@ -308,9 +308,9 @@ def _few(names: Iterable[str]) -> str:
     return ", ".join(first) if more <= 1 else f"{', '.join(first[:FEW])} and {more} more"
 
 
-def _percent(share: float) -> str:
+def _percent(share: float | None) -> str:
     """Return a share in percent."""
-    if not math.isfinite(share):
+    if share is None or not math.isfinite(share):
         return "no number"
     return f"{float(f'{100 * share:.2g}'):,g} %"
 
@@ -637,6 +637,12 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     # what a controller will do
     "forecast.tracked": lambda controlled, **facts: _tracked(**facts),
     "forecast.runs_away": "models that run away: {models} of {of}",
+    "forecast.static_friction": lambda outputs: (
+        "if dry friction at rest is twice that of motion, of which a log tells little, "
+        + "; ".join(
+            f"{name} {_percent(mean)} on average, {_percent(worst)} at worst" for name, (mean, worst) in outputs.items()
+        )
+    ),
     "forecast.no_equilibrium": "{targets}: give a smaller range of targets, or log and use more of the inputs' range",
     "forecast.models_differ": "what the log leaves open decides whether models are held: log longer, let the inputs "
     "change more often and more widely, or name functions and states that the model lacks",

@@ -59,6 +59,7 @@ from dynasindy.identification.recording_diagnostics import (
 from dynasindy.identification.source import Source, rates_of
 from dynasindy.identification.targets import require_radians
 from dynasindy.identification.verdict import (
+    dry_friction,
     inputs_beyond_log,
     linear_better,
     require_controlled,
@@ -74,6 +75,7 @@ from dynasindy.safe_io import checked
 from dynasindy.sentences import lines
 from dynasindy.sindy import Refinement, SindyModel
 from dynasindy.sindy.delay import delay_inputs
+from dynasindy.sindy.library import Feature, Library
 from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.sindy.shooting import STABLE
 from dynasindy.systems import Diverged, System
@@ -85,6 +87,9 @@ FLOWN = 64
 """Targets that are flown to where no scenario is given."""
 MOST_ROWS = 4000
 """Rows of a log, at most, whose pushes models are flown under: ten samples each of the periods of a flight."""
+STATIC, SHARPER, STEPS = 2.0, 10.0, 100
+"""How much larger and sharper than in motion dry friction may be at rest, at most, and steps of a period that show it.
+Static friction is one to two times that of motion (Armstrong-Helouvry, Dupont and Canudas de Wit 1994)."""
 HALVES = 2
 """Stretches of a log that a model is fitted to again, to see what the log leaves open."""
 
@@ -236,6 +241,12 @@ def forecast(
     moved = torch.cat(known) if known else None
     found = Forecast.of(models or [model], env, policy, scenario, sensing, within, moved)
     found = replace(found, in_sample=not models)
+    if (rough := _with_static_friction((models or [model])[0], controller.dt)) is not None:
+        finer = ControlSetup(setup.task, setup.dt, max(STEPS, setup.substeps), setup.stops)
+        finest = Controller(controller.policy, finer, controller.observer, controller.integral)
+        env, policy, sensing = closed_loop(finest, model, setup.task, seed)
+        stuck = Forecast.of([rough], env, policy, scenario, sensing, within, moved)
+        found = replace(found, at_rest=stuck.flights)
     doubts = _doubts(model, log, LONGEST * controller.dt)
     doubts += [short] if (short := refit_shortage(model, log)) else []
     if found.evaluation is not None:
@@ -346,6 +357,30 @@ def _pushes(controller: Controller, model: SindyModel, data: Transitions) -> Ten
         found = x[begins + stride] - predict_from(watched, late, x[begins], later)[:, -1]
         return found if bool(found.isfinite().all()) else None
     return None
+
+
+def _with_static_friction(model: SindyModel, dt: float) -> SindyModel | None:
+    """Return a model with dry friction as it may be at rest, of which a log of motion tells little; None without any.
+
+    It may be up to twice as large there as in motion, and holds what a smooth function lets creep.
+    """
+    rows = sorted({k for each in dry_friction(model) for k in each})
+    if not rows:
+        return None
+    features = list(model.library.features)
+    steepest = max(f.frequency for k in rows for f in features[k].factors if f.function == "tanh")
+    steepest *= float(model.coefficients[rows].abs().sum(0).max()) * STATIC
+    sharper = min(max(STEPS * STABLE / (dt * steepest), 1.0), SHARPER)
+    for k in rows:
+        factors = features[k].factors
+        features[k] = Feature(
+            tuple(replace(f, frequency=sharper * f.frequency) if f.function == "tanh" else f for f in factors)
+        )
+    found, coefficients = copy.deepcopy(model), model.coefficients.clone()
+    coefficients[rows] *= STATIC
+    found.library = Library(model.signature, features, step=model.library.step)
+    found.coefficients = coefficients
+    return found
 
 
 def _longest_stretch(data: Transitions) -> Transitions:

@@ -196,6 +196,32 @@ def test_models_are_flown_under_the_pushes_of_the_log(size, write_log, tmp_path)
     assert share[0] == pytest.approx(np.mean(far), rel=0.25, abs=1e-3) and max(share) < 1.6 * np.mean(far) + 1e-3
 
 
+def test_dry_friction_may_hold_a_plant_at_rest_though_its_fit_creeps(write_log, tmp_path):
+    """A motor w' = 60 u - 8 w - 4 tanh(50 w): static friction of twice as much balances inputs of up to 8 / 60."""
+    rng, q, w, rows = np.random.default_rng(0), 0.0, 0.0, []
+    for k in range(1200):
+        if k % 25 == 0:
+            u = rng.uniform(-0.6, 0.6)
+        rows.append([q, w, u])
+        for _ in range(40):
+            w += 0.00025 * (60 * u - 8 * w - 4 * math.tanh(50 * w))
+            q += 0.00025 * w
+    log = dynasindy.read(write_log(tmp_path / "log.csv", ["q [rad]", "w [rad/s]", "u"], torch.tensor(rows)))
+    model = dynasindy.identify(log, ["u", "w", "tanh(~40 w)"], {"q": "w"}, "one_step", longest_delay=0.0)
+    task = dynasindy.workbench.tracking_task(model, {"q": (-1.0, 1.0)})
+
+    def proportional(tensordict):
+        x, wanted = tensordict["state"], tensordict["reference"]
+        return tensordict.set("action", (0.5 * (wanted - x[..., :1]) - 0.05 * x[..., 1:]).clamp(-1, 1).float())
+
+    scenario = Scenario("step", Step([[-0.8], [0.5], [0.9]]), episodes=3, seconds=20.0)
+    found = forecast(Controller(proportional, ControlSetup(task, 0.05)), model, log, scenario)
+    band = 8 / 60 / 0.5 / 2  # of the error, in ranges of the targets
+    assert max(flight.worst["q"] for flight in found.flights) < 0.1 * band
+    (stuck,) = (each for each in found.findings if each.code == "forecast.static_friction")
+    assert 0.5 * band < stuck.values["outputs"]["q"][1] < 1.05 * band
+
+
 def test_nothing_is_promised_by_a_log_of_which_nothing_was_kept(exact):
     alone = Source.of(Recording(exact.whole, exact.signature), 0)
     model = dynasindy.identify(alone, WORDS, {"theta": "Omega"}, "one_step")

@@ -15,7 +15,7 @@ from dynasindy.control.sensing import Sensing
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
 from dynasindy.evaluation.tracking_criteria import WITHIN, TrackingCriteria, judge_control, judge_tracking
-from dynasindy.findings import Finding, records, weak, wrong
+from dynasindy.findings import Finding, note, records, weak, wrong
 from dynasindy.sentences import gravest_first
 from dynasindy.systems import Diverged, System
 from dynasindy.systems.equilibria import states_that_matter
@@ -36,6 +36,8 @@ class Forecast:
         doubts: Why the models, though they agree, are not to be relied on.
         no_equilibrium: Which targets no input holds in the model of the plan; empty if all are held.
         seconds: Length of the flights [s]; None where it is not known.
+        at_rest: What models show whose dry friction at rest is larger than in motion, of which a log tells little:
+            promises leave them out, and findings say so.
     """
 
     flights: tuple[TrackingCriteria | None, ...]
@@ -45,6 +47,7 @@ class Forecast:
     doubts: tuple[Finding, ...] = ()
     no_equilibrium: str = ""
     seconds: float | None = None
+    at_rest: tuple[TrackingCriteria | None, ...] = ()
 
     @classmethod
     def of(
@@ -131,6 +134,11 @@ class Forecast:
         if flown:
             held, tracked = judge_control(flown, self.within, "forecast.tracked", seconds=self.seconds)
             findings.insert(0, tracked)
+            for stuck in self.at_rest:
+                ends = {n: (stuck.share[n], stuck.worst[n]) if stuck else (None, None) for n in flown[0].share}
+                told = tracked.values["outputs"]
+                if worse := {n: each for n, each in ends.items() if each[0] is None or each[0] > told[n]["most"]}:
+                    findings.append(note("forecast.static_friction", outputs=worse))
             stays = len(flown) == n and all(each["swings"] for each in tracked.values["away"].values())
             if held is False and stays and not self.doubts:  # something may help
                 errors = tracked.values["outputs"].values()

@@ -287,14 +287,25 @@ def equation_findings(model: SindyModel, report: FitReport | None = None) -> lis
     resolved = None if report is None else report.told_apart()
     at_end = report is not None and "fit.longest_delay" in {each.code for each in report.findings}
     findings = [note("model.delay", seconds=model.delay)] if model.delay and not at_end else []
-    for i, (name, size) in enumerate(zip(model.signature.state_names, model.signature.x_scale, strict=True)):
-        against = model.coefficients[:, i] < 0
-        told = against if resolved is None else against & (resolved[:, i] > TOLD)
-        factors = [factor for feature in _used(model.library.features, told) for factor in feature.factors]
-        # What bends only at the range of a rate, and does not oppose all but the lowest alike, is a drag.
-        if any(f.function == "tanh" and name in f.variables and f.frequency * size >= FULL for f in factors):
-            findings.append(note("model.dry_friction", state=name))
+    for i, rows in enumerate(dry_friction(model)):
+        if any(resolved is None or resolved[k, i] > TOLD for k in rows):
+            findings.append(note("model.dry_friction", state=model.signature.state_names[i]))
     return findings
+
+
+def dry_friction(model: SindyModel) -> list[list[int]]:
+    """Return which functions are dry friction of each state.
+
+    Args:
+        model: A fitted model.
+    """
+    features, found = model.library.features, list[list[int]]()
+    for i, (name, size) in enumerate(zip(model.signature.state_names, model.signature.x_scale, strict=True)):
+        rows = (model.coefficients[:, i] < 0).nonzero().flatten().tolist()
+        # What bends only at the range of a rate, and does not oppose all but the lowest alike, is a drag.
+        steep = ((k, f) for k in rows for f in features[k].factors if f.function == "tanh" and name in f.variables)
+        found.append([k for k, f in steep if f.frequency * size >= FULL])
+    return found
 
 
 def idle_states(model: SindyModel, data: Transitions) -> list[Finding]:
