@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from carts import Law, make_cart, make_loop
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
@@ -55,8 +56,8 @@ def test_what_is_tried_by_default_is_what_the_command_tries():
     assert ours == {name: told[name] for name in ours}
 
 
-def test_a_record_is_json_of_what_was_found(loops, carts):
-    found = check(loops(model=carts(spring=1.0), observer={}), SMALL)
+def test_a_record_is_json_of_what_was_found():
+    found = check(make_loop(model=make_cart(spring=1.0), observer={}), SMALL)
     held = json.loads(json.dumps(check_record(found), allow_nan=False))
     assert [row["target"]["p"] for row in held["targets"]] == pytest.approx([-0.4, 0.0, 0.4])
     assert all(row["stable"] and row["rests"] for row in held["targets"])
@@ -70,23 +71,23 @@ def test_a_record_is_json_of_what_was_found(loops, carts):
 
 
 @pytest.mark.parametrize("points", [1, 2, 3, 4])
-def test_errors_lie_around_the_middle_of_the_range_however_many_targets_there_are(loops, carts, points):
+def test_errors_lie_around_the_middle_of_the_range_however_many_targets_there_are(points):
     """Under 2 (r - p) = p the cart rests at two thirds of its target: 0.1 m short of 0.3 m, halfway from 0 to 0.6."""
     settings = Settings((0.0,), (0.6,), points=points, seconds=10.0, grid=3, draws=0)
-    found = check(loops(model=carts(spring=1.0)), settings)
+    found = check(make_loop(model=make_cart(spring=1.0)), settings)
     assert found.settings.ends.mean(0).tolist() == pytest.approx([0.3])
     assert found.planes[0].steady_error.tolist() == pytest.approx([0.1], abs=1e-3)
 
 
-def test_flights_are_as_many_control_periods_for_a_slow_plant(loops):
-    loop = loops()
+def test_flights_are_as_many_control_periods_for_a_slow_plant():
+    loop = make_loop()
     found = check(loop, replace(SMALL, seconds=None, points=1, draws=0))
     assert found.steps.u.shape[1] == 400 and found.seconds == pytest.approx(400 * loop.dt)
     assert check_record(found)["settings"]["seconds"] == pytest.approx(400 * loop.dt)
 
 
-def test_a_loop_that_is_not_stable_has_no_margins(loops, law):
-    found = check(loops(law(-1.0, 0.0)), SMALL)
+def test_a_loop_that_is_not_stable_has_no_margins():
+    found = check(make_loop(Law(-1.0, 0.0)), SMALL)
     assert not found.stable.any() and not any(found.margins) and found.noise == [None] * 3
     held = check_record(found)
     assert held["targets"][0]["noise_to_input"] is None and held["targets"][0]["spectral_radius"] > 1
@@ -102,9 +103,9 @@ def test_a_loop_that_is_not_stable_has_no_margins(loops, law):
         ({}, {"p": [0.05, 0.5]}, [0.3, 0.0], "p = 0.3 m"),  # a cart rests wherever it stands
     ],
 )
-def test_steps_begin_where_the_run_begins_or_within_its_bounds(loops, start, bounds, begin, told):
+def test_steps_begin_where_the_run_begins_or_within_its_bounds(start, bounds, begin, told):
     settings = Settings((0.2,), (0.4,), points=3, seconds=4.0, grid=3, draws=1, start=start, bounds=bounds)
-    found = check(loops(), settings)
+    found = check(make_loop(), settings)
     expected = torch.tensor(begin, dtype=torch.float64)
     for flights in (found.steps, found.drawn):
         torch.testing.assert_close(flights.x[:, 0], expected.expand(len(flights.x), -1))
@@ -184,8 +185,8 @@ TWO_TARGETS = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
 
 
 @pytest.fixture(scope="module")
-def good(loops):
-    return check(loops(observer={}), TWO_TARGETS)
+def good():
+    return check(make_loop(observer={}), TWO_TARGETS)
 
 
 def composed():
@@ -208,20 +209,20 @@ def test_a_cart_with_a_sound_law_is_sound(good):
     assert all(str(each) for each in found.values())
 
 
-def test_a_stable_loop_is_as_slow_as_its_largest_eigenvalue(loops):
+def test_a_stable_loop_is_as_slow_as_its_largest_eigenvalue():
     # u = -2 p - 2.5 v on a double integrator: what is left after t is exp(-t / 0.73 s).
     a = np.array([[1.0, 0.1], [0.0, 1.0]]) - np.array([[0.005], [0.1]]) @ np.array([[2.0, 2.5]])
     slowest = -0.1 / np.log(np.abs(np.linalg.eigvals(a)).max())
-    assert by_name(check(loops(), TWO_TARGETS))["stability"].values["slowest"] == pytest.approx(slowest, rel=1e-6)
+    assert by_name(check(make_loop(), TWO_TARGETS))["stability"].values["slowest"] == pytest.approx(slowest, rel=1e-6)
 
 
-def test_noise_is_weak_beyond_its_threshold_only_and_none_where_the_file_states_none(good, loops):
+def test_noise_is_weak_beyond_its_threshold_only_and_none_where_the_file_states_none(good):
     # A deviation of 0.01 m at a gain of 4 per metre, whatever the other target: 0.04.
     noisy = replace(good, noise=[np.array([[3.0, 0.0]]), np.array([[4.0, 0.0]])], sensors=np.array([0.01, 0.0]))
     for limit, sound in ((0.05, True), (0.03, False)):
         found = by_name(noisy, Thresholds(noise=limit))["noise"]
         assert (found.severity == "note") is sound and found.values["value"] == pytest.approx(0.04)
-    silent = by_name(check(loops(), TWO_TARGETS))["noise"]
+    silent = by_name(check(make_loop(), TWO_TARGETS))["noise"]
     assert silent.severity == "note" and silent.values["known"] is False
 
 
@@ -262,8 +263,8 @@ def test_the_threshold_of_the_steady_error_has_the_unit_of_its_value(good):
         assert values["limit"] == pytest.approx(0.2) and values["share"] == pytest.approx(values["error"] / 2)
 
 
-def test_an_unstable_loop_says_so_first_and_where(loops, law):
-    findings = check_verdict(check(loops(law(-1.0, 0.0)), TWO_TARGETS))
+def test_an_unstable_loop_says_so_first_and_where():
+    findings = check_verdict(check(make_loop(Law(-1.0, 0.0)), TWO_TARGETS))
     first = findings[0]
     assert (first.code, first.severity) == ("check.stability", "wrong")
     assert (first.values["unstable"], first.values["targets"], first.values["target"]) == (2, 2, [-0.4])
@@ -297,9 +298,9 @@ def test_every_finding_that_may_be_weak_has_a_remedy_whose_settings_exist():
                 node = node[step]
 
 
-def test_small_swings_are_told_with_their_size_and_forbid_no_flight(loops, carts, law):
+def test_small_swings_are_told_with_their_size_and_forbid_no_flight():
     # The weakest swing of test_loop_simulation.py: the input is held, which takes more damping than there is.
-    circling = check(loops(law(40.0, 1.0, limit=1.0), carts(friction=0.8)), TWO_TARGETS)
+    circling = check(make_loop(Law(40.0, 1.0, limit=1.0), make_cart(friction=0.8)), TWO_TARGETS)
     swing = float(circling.swings.outputs.max())
     assert 0.005 < swing < 0.2
     for limit, severity in ((1.01 * swing, "weak"), (0.0, "wrong")):
@@ -310,8 +311,8 @@ def test_small_swings_are_told_with_their_size_and_forbid_no_flight(loops, carts
 
 
 @pytest.mark.parametrize("k_v", [2.5, 14.0, 25.0])
-def test_a_thin_disk_margin_at_the_targets_is_said(loops, law, k_v):
-    loop = loops(law(2.0, k_v))
+def test_a_thin_disk_margin_at_the_targets_is_said(k_v):
+    loop = make_loop(Law(2.0, k_v))
     loop.controller.setup.task.ends = ((-0.4,), (0.8,))
     found = thin_margin(loop.controller, loop.model)
     # Of u = -K x on x+ = A x + B u, a double integrator under held inputs, by a grid of S = 1 / (1 + K (z - A)^-1 B).
@@ -326,16 +327,16 @@ def test_a_thin_disk_margin_at_the_targets_is_said(loops, law, k_v):
         assert values["value"] == pytest.approx(disk, rel=1e-3)
 
 
-def test_coefficients_of_the_data_are_drawn_and_no_other(carts):
-    model = carts(friction=0.5, spring=2.0)
+def test_coefficients_of_the_data_are_drawn_and_no_other():
+    model = make_cart(friction=0.5, spring=2.0)
     found = _variants(model, 4, 0)[0]
     share = (found[:, :, 1] / model.coefficients[:, 1] - 1).abs()
     assert 0 < float(share.max()) <= 0.05
     np.testing.assert_array_equal(found[:, :, 0], model.coefficients[:, 0].expand(4, -1))
 
 
-def test_draws_spread_and_go_together_as_the_covariance_of_the_fit_says(carts):
-    model = carts(friction=0.5, spring=2.0)
+def test_draws_spread_and_go_together_as_the_covariance_of_the_fit_says():
+    model = make_cart(friction=0.5, spring=2.0)
     assert _variants(model, 1, 1)[1] == "each within 5 % of itself, as the model tells no standard errors"
     wanted = torch.tensor([[0.01, -0.009], [-0.009, 0.04]], dtype=torch.float64)
     places = torch.tensor([1, 2]), torch.tensor([1, 1])  # friction and spring
@@ -358,10 +359,10 @@ def test_equations_that_are_all_given_have_no_uncertainty(method):
     assert torch.equal(_variants(model, 3, seed=0)[0], model.coefficients.expand(3, 2, 1))
 
 
-def test_error_and_eigenvalues_with_other_plants_are_those_of_paper(loops, carts):
+def test_error_and_eigenvalues_with_other_plants_are_those_of_paper():
     # Rest at p = 2 r b / (s + 2 b) with the force's coefficient b and the spring s.
-    model = carts(spring=1.0)
-    loop, r = loops(model=model), torch.tensor([[0.3], [0.0]])
+    model = make_cart(spring=1.0)
+    loop, r = make_loop(model=model), torch.tensor([[0.3], [0.0]])
     plants = [(1.2, 1.0), (0.8, 1.0), (1.0, 1.2), (1.0, 0.8)]
     xi = model.coefficients.expand(4, -1, -1).clone()
     xi[:, [0, 2], 1] *= torch.tensor(plants).double()

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from carts import Law, make_cart, make_loop, make_network_loop, make_task
 
 from dynasindy.control.controller import ControlSetup
 from dynasindy.evaluation.check import LONGER, Settings, check
@@ -61,8 +62,8 @@ INTEGRAL = {"gain": 1.5, "band": 0.9}
         (True, 0.08, 2, None),
     ],
 )
-def test_it_flies_as_the_controller_does(networks, disturbance, delay, late, integral):
-    loop = networks(delay, disturbance, late, integral)
+def test_it_flies_as_the_controller_does(disturbance, delay, late, integral):
+    loop = make_network_loop(delay, disturbance, late, integral)
     x = torch.tensor([0.2, -0.5], dtype=torch.float64)
     expected, commands = flown(loop, x, [0.3], 60)
     found, u = stepped(loop, x, [0.3], 60)
@@ -71,9 +72,9 @@ def test_it_flies_as_the_controller_does(networks, disturbance, delay, late, int
     np.testing.assert_allclose(u, commands, rtol=0, atol=2e-5)
 
 
-def test_a_loop_holds_what_its_controller_remembers_and_nothing_else(loops):
+def test_a_loop_holds_what_its_controller_remembers_and_nothing_else():
     def parts(**settings):
-        return {name: part for name, part in loops(**settings).parts.items() if part.stop > part.start}
+        return {name: part for name, part in make_loop(**settings).parts.items() if part.stop > part.start}
 
     assert parts() == {"x": slice(0, 2)}
     assert parts(integral={}) == {"x": slice(0, 2), "integral": slice(2, 3)}
@@ -82,9 +83,9 @@ def test_a_loop_holds_what_its_controller_remembers_and_nothing_else(loops):
     assert parts(observer={"delay": 1}) == late
 
 
-def test_a_law_of_all_states_is_the_map_that_is_written_down(loops):
+def test_a_law_of_all_states_is_the_map_that_is_written_down():
     # p + dt v + dt^2/2 u, v + dt u with u = 2 (r - p) - 2.5 v, and dt = 0.1.
-    loop = loops()
+    loop = make_loop()
     z = torch.tensor([[0.4, -0.2], [0.0, 1.0]], dtype=torch.float64)
     moved = loop.step(z, loop.steady_covariance(z), torch.tensor([[1.0], [0.5]]))
     u = 2 * (torch.tensor([1.0, 0.5]) - z[:, 0]) - 2.5 * z[:, 1]
@@ -93,8 +94,8 @@ def test_a_law_of_all_states_is_the_map_that_is_written_down(loops):
     np.testing.assert_allclose(moved.z, expected, atol=1e-12)
 
 
-def test_what_is_added_reaches_the_plant_and_noise_the_controller(loops):
-    loop = loops()
+def test_what_is_added_reaches_the_plant_and_noise_the_controller():
+    loop = make_loop()
     z, r = torch.zeros(1, 2, dtype=torch.float64), torch.zeros(1, 1)
     pushed = loop.step(z, loop.steady_covariance(z), r, extra=0.3)
     assert pushed.u.item() == 0 and pushed.z[0, 1].item() == pytest.approx(0.03)
@@ -102,8 +103,8 @@ def test_what_is_added_reaches_the_plant_and_noise_the_controller(loops):
     assert disturbed.u.item() == pytest.approx(-2 * 0.1 - 2.5 * 0.2)
 
 
-def test_rows_may_have_coefficients_of_their_own(loops):
-    loop = loops()
+def test_rows_may_have_coefficients_of_their_own():
+    loop = make_loop()
     xi = torch.stack([loop.model.coefficients, 3 * loop.model.coefficients])
     z = torch.tensor([[0.4, 0.1]] * 2, dtype=torch.float64)
     moved = loop.varied(xi).step(z, loop.steady_covariance(z), torch.zeros(2, 1))
@@ -113,8 +114,8 @@ def test_rows_may_have_coefficients_of_their_own(loops):
     np.testing.assert_allclose(deep.z, moved.z.unsqueeze(1).expand(-1, 4, -1), atol=1e-12)
 
 
-def test_a_loop_at_rest_knows_where_it_is(networks):
-    loop = networks()
+def test_a_loop_at_rest_knows_where_it_is():
+    loop = make_network_loop()
     x, u = torch.tensor([[0.25, 0.0]], dtype=torch.float64), torch.tensor([[0.2]], dtype=torch.float64)  # spring 0.8
     z = loop.at(x, u)
     assert z[0, loop.parts["mean"]].tolist() == [0.25, 0.0, 0.0]
@@ -125,30 +126,30 @@ def test_a_loop_at_rest_knows_where_it_is(networks):
 
 
 @pytest.mark.parametrize("spring", [1e-4, 1.0, 100.0, 1e6])
-def test_the_step_is_as_long_as_the_plant_allows(carts, loops, tasks, spring):
+def test_the_step_is_as_long_as_the_plant_allows(spring):
     """A slow spring is passed in the steps of the controller, and ends where its cosine does, as does a fast one."""
-    model, dt, longest = carts(spring=spring), 2.0, 0.4
-    step = _longest_step(model, ControlSetup(tasks(), dt, 5))
+    model, dt, longest = make_cart(spring=spring), 2.0, 0.4
+    step = _longest_step(model, ControlSetup(make_task(), dt, 5))
     assert (step == longest) == (spring == 1e-4) and step >= dt / 160 and (step == dt / 160) == (spring > 1.0)
     if spring < 1e6:
-        start, loop = torch.tensor([[1.0, 0.0]], dtype=torch.float64), loops(model=model, dt=dt, step=step)
+        start, loop = torch.tensor([[1.0, 0.0]], dtype=torch.float64), make_loop(model=model, dt=dt, step=step)
         x = loop._move(start, torch.zeros(1, 1, 1))
         omega = math.sqrt(spring)
         assert x[0, 0].item() == pytest.approx(math.cos(omega * dt), abs=FINE)
 
 
 @pytest.mark.parametrize("function", ["v^3", "force v"])
-def test_the_step_is_short_where_only_large_movements_or_inputs_make_the_plant_fast(carts, tasks, function):
+def test_the_step_is_short_where_only_large_movements_or_inputs_make_the_plant_fast(function):
     """v' = -3 v^3 has a rate of 9 v^2, up to 81 per second at 3 m/s; v' = -30 u v one of 30 per second."""
-    model = SindyModel(carts().signature, ["v", function], known={"p": "v"})
+    model = SindyModel(make_cart().signature, ["v", function], known={"p": "v"})
     model.set_coefficients(torch.tensor([[1.0, 0.0], [0.0, -3.0 if function == "v^3" else -30.0]], dtype=torch.float64))
-    assert _longest_step(model, ControlSetup(tasks(), 0.1)) < 0.1
+    assert _longest_step(model, ControlSetup(make_task(), 0.1)) < 0.1
 
 
 @pytest.mark.parametrize(("delay", "pending"), [(0.0, 0), (0.1, 1), (0.3, 2)])
-def test_a_difference_equation_moves_by_its_own_steps_however_long_those_of_the_plant_are(carts, loops, delay, pending):
+def test_a_difference_equation_moves_by_its_own_steps_however_long_those_of_the_plant_are(delay, pending):
     """p += 0.1 v, v += 0.1 (u - 0.5 v - 4 p), two of its steps in a period, inputs late by 0, 1 and 3 of them."""
-    loop = loops(model=carts(delay, 0.5, 4.0, step=0.1), dt=0.2, step=0.03)
+    loop = make_loop(model=make_cart(delay, 0.5, 4.0, step=0.1), dt=0.2, step=0.03)
     assert loop.pending == pending
     inputs, x = np.array([1.0, 2.0, 3.0])[-1 - pending :], np.array([0.3, -0.2])
     found = loop._move(torch.from_numpy(x)[None], torch.from_numpy(inputs).reshape(1, -1, 1))
@@ -162,8 +163,8 @@ HERE = Settings((0.0,), (0.0,), points=1, reach=0.5, draws=0)
 ENDS = Settings((-0.4,), (0.4,), points=2, grid=2, draws=0)
 
 
-def test_a_flight_is_the_power_of_a_matrix(loops):
-    flights = loops().fly(torch.tensor([[0.4, -0.2]]), torch.tensor([[0.0]]), 2.0)
+def test_a_flight_is_the_power_of_a_matrix():
+    flights = make_loop().fly(torch.tensor([[0.4, -0.2]]), torch.tensor([[0.0]]), 2.0)
     closed = np.array([[1.0, 0.1], [0.0, 1.0]]) - np.array([[0.005], [0.1]]) @ np.array([[2.0, 2.5]])
     expected = [np.linalg.matrix_power(closed, k) @ flights.x[0, 0].numpy() for k in range(21)]
     np.testing.assert_allclose(flights.x[0], expected, atol=1e-10)
@@ -199,14 +200,14 @@ def test_the_way_of_a_fast_plant_is_no_steady_error():
     assert slow.last == 100
 
 
-def test_a_law_that_is_too_weak_for_a_hill_loses_the_plant_beyond_a_line(loops, carts, law):
+def test_a_law_that_is_too_weak_for_a_hill_loses_the_plant_beyond_a_line():
     # v' = p + u with u = clamp(-3 p - 3 v) to 0.5: with p + v at most 0.5 it comes back, beyond it runs away.
-    class Limited(law):
+    class Limited(Law):
         def __call__(self, tensordict):
             tensordict = super().__call__(tensordict)
             return tensordict.set("action", tensordict["action"].clamp(-0.5, 0.5))
 
-    loop = loops(Limited(3.0, 3.0), carts(spring=-1.0))
+    loop = make_loop(Limited(3.0, 3.0), make_cart(spring=-1.0))
     (plane,) = check(loop, replace(HERE, grid=9, seconds=12.0)).planes
     assert plane.names == ("p", "v")
     np.testing.assert_allclose(plane.first, np.linspace(-1, 1, 9), atol=1e-12)  # half of the ranges of 2 m and 3 m/s
@@ -217,9 +218,9 @@ def test_a_law_that_is_too_weak_for_a_hill_loses_the_plant_beyond_a_line(loops, 
     assert plane.share == pytest.approx(float((total < 0.5).double().mean()), abs=0.1)
 
 
-def test_a_loop_that_rests_beside_its_target_comes_back_to_there_and_its_error_is_told_apart(loops, law):
+def test_a_loop_that_rests_beside_its_target_comes_back_to_there_and_its_error_is_told_apart():
     # v' = 2 (0 - p) - 2.5 v + 1 rests at p = 0.5, a quarter of the range of 2 m from the target.
-    (plane,) = check(loops(law(2.0, 2.5, bias=1.0)), replace(HERE, grid=5, seconds=20.0)).planes
+    (plane,) = check(make_loop(Law(2.0, 2.5, bias=1.0)), replace(HERE, grid=5, seconds=20.0)).planes
     assert plane.share == 1.0
     assert plane.steady_error.tolist() == pytest.approx([0.5], abs=1e-6)
 
@@ -238,8 +239,8 @@ def moved(k_p, k_v, friction, target, periods, dt=0.1):
 
 
 @pytest.mark.parametrize("seconds", [20.0, 3.0])
-def test_swings_are_those_of_a_motion_that_is_computed_exactly(loops, carts, law, seconds):
-    found = check(loops(law(40.0, 1.0, limit=1.0), carts(friction=0.8)), replace(ENDS, seconds=seconds)).swings
+def test_swings_are_those_of_a_motion_that_is_computed_exactly(seconds):
+    found = check(make_loop(Law(40.0, 1.0, limit=1.0), make_cart(friction=0.8)), replace(ENDS, seconds=seconds)).swings
     last = round(10 * seconds)
     places, inputs = moved(40.0, 1.0, 0.8, -0.4, last * LONGER)
     assert found.seconds == seconds * LONGER
@@ -248,11 +249,11 @@ def test_swings_are_those_of_a_motion_that_is_computed_exactly(loops, carts, law
     assert float(found.error[0]) == pytest.approx(np.abs(places[-last:] + 0.4).mean(), rel=0.02)
 
 
-def test_swings_that_grow_have_no_size(loops, law):
-    found = check(loops(law(-1.0, 0.0)), replace(ENDS, seconds=4.0)).swings
+def test_swings_that_grow_have_no_size():
+    found = check(make_loop(Law(-1.0, 0.0)), replace(ENDS, seconds=4.0)).swings
     assert found.outputs.isinf().all() and (found.error > 1).all()
 
 
-def test_a_loop_that_is_stable_swings_nowhere(loops):
-    found = check(loops(), replace(ENDS, seconds=4.0)).swings
+def test_a_loop_that_is_stable_swings_nowhere():
+    found = check(make_loop(), replace(ENDS, seconds=4.0)).swings
     assert not found.outputs.any() and not found.inputs.any() and not found.error.any()

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from carts import Law, make_cart, make_loop
 from scipy.linalg import solve_discrete_are
 from scipy.signal import cont2discrete
 
@@ -31,9 +32,9 @@ def targets(*values):
     return torch.tensor([[value] for value in values], dtype=torch.float64)
 
 
-def test_the_eigenvalues_are_those_of_the_polynomial_on_paper(loops):
+def test_the_eigenvalues_are_those_of_the_polynomial_on_paper():
     # z^2 - tr z + det of A - B k, k = (2, 2.5): tr = 2 - 0.01 - 0.25, det = 1 - 0.01 - 0.25 + 0.1 * 2 * 0.1.
-    linear = find_rest(loops(), targets(0.0, 0.7)).linear
+    linear = find_rest(make_loop(), targets(0.0, 0.7)).linear
     expected = np.roots([1, -(2 - 0.01 - 0.25), 1 - 0.01 - 0.25 + 0.02])
     for k in range(2):
         np.testing.assert_allclose(np.sort_complex(linear.eigenvalues[k]), np.sort_complex(expected), atol=1e-8)
@@ -44,9 +45,9 @@ def test_the_eigenvalues_are_those_of_the_polynomial_on_paper(loops):
     np.testing.assert_allclose(linear.f[0], [[-2.0, -2.5]], atol=1e-8)
 
 
-def test_a_loop_with_an_observer_has_the_eigenvalues_of_law_and_filter(loops):
+def test_a_loop_with_an_observer_has_the_eigenvalues_of_law_and_filter():
     # The separation principle, with the filter of scipy: x+ = A x + B u, gain L of its steady covariance.
-    loop = loops(observer={})
+    loop = make_loop(observer={})
     found = find_rest(loop, targets(0.3))
     noise = np.diag([(0.01 * 2) ** 2, (0.05 * 3) ** 2]) * 0.1
     prior = solve_discrete_are(A.T, np.array([[1.0], [0.0]]), noise, [[1e-4]])
@@ -60,12 +61,12 @@ def test_a_loop_with_an_observer_has_the_eigenvalues_of_law_and_filter(loops):
 
 
 @pytest.mark.parametrize("k_v", [2.5, 9.0, 20.15, 20.25])
-def test_a_difference_equation_is_stable_inside_the_unit_circle_and_has_the_margins_of_its_map(loops, carts, law, k_v):
+def test_a_difference_equation_is_stable_inside_the_unit_circle_and_has_the_margins_of_its_map(k_v):
     """p += 0.1 v, v += 0.1 u under u = g (2 (r - p) - k v): z^2 - (2 - 0.1 g k) z + 1 - 0.1 g k + 0.02 g.
 
     By Jury's criterion it is stable where 4 - 0.2 g k + 0.02 g > 0: until g = 4 / (0.2 k - 0.02), and k = 20.1.
     """
-    linear = find_rest(loops(law(2.0, k_v), carts(step=0.1)), targets(0.0)).linear
+    linear = find_rest(make_loop(Law(2.0, k_v), make_cart(step=0.1)), targets(0.0)).linear
     expected = np.roots([1, -(2 - 0.1 * k_v), 1 - 0.1 * k_v + 0.02])
     np.testing.assert_allclose(np.sort_complex(linear.eigenvalues[0]), np.sort_complex(expected), atol=1e-7)
     assert (linear.radius[0] < 1) == (k_v < 20.1)
@@ -73,9 +74,9 @@ def test_a_difference_equation_is_stable_inside_the_unit_circle_and_has_the_marg
         assert loop_margins(linear.row(0))[0].gain == pytest.approx(4 / (0.2 * k_v - 0.02), rel=1e-6)
 
 
-def test_a_late_input_is_another_state(loops, carts):
+def test_a_late_input_is_another_state():
     # Fractional delays sample as A x + B1 u_old + B0 u_now, the textbook's form.
-    loop = loops(model=carts(delay=0.13))
+    loop = make_loop(model=make_cart(delay=0.13))
     linear = find_rest(loop, targets(0.0)).linear
     late = 0.03
     flow = cont2discrete((np.array([[0.0, 1.0], [0, 0]]), np.array([[0.0], [1.0]]), np.eye(2), 0), 0.1 - late)[:2]
@@ -85,36 +86,36 @@ def test_a_late_input_is_another_state(loops, carts):
     np.testing.assert_allclose(linear.a[0], whole, atol=1e-8)
 
 
-def test_of_several_rests_the_one_that_is_reached_counts(loops, law):
+def test_of_several_rests_the_one_that_is_reached_counts():
     """v' = p - p^3 - v + u with u = (r - p) / 10 rests near 0, from where it goes away, and near -1 and 1."""
-    model = SindyModel(loops().signature, ["force", "v", "p", "p^3"], known={"p": "v"})
+    model = SindyModel(make_loop().signature, ["force", "v", "p", "p^3"], known={"p": "v"})
     model.set_coefficients(torch.tensor([[0, 1], [1, -1], [0, 1], [0, -1]]).double())
-    loop = loops(law(0.1, 0.0), model)
+    loop = make_loop(Law(0.1, 0.0), model)
     found = find_rest(loop, targets(0.1))
     ends = sorted(np.roots([-1, 0, 0.9, 0.01]).real)
     assert bool(found.still.all()) and float(found.z[0, loop.parts["x"]][0]) == pytest.approx(ends[2], rel=1e-6)
     assert found.linear.radius < 1
 
 
-def test_a_spring_pulls_a_law_off_its_target_and_an_integral_brings_it_back(loops, carts):
+def test_a_spring_pulls_a_law_off_its_target_and_an_integral_brings_it_back():
     # k (r - p) = s p, so p = 2 / 3 r with s = 1.
-    pulled = find_rest(loops(model=carts(spring=1.0)), targets(0.3))
+    pulled = find_rest(make_loop(model=make_cart(spring=1.0)), targets(0.3))
     assert bool(pulled.still.all())
     np.testing.assert_allclose(pulled.z[0], [0.2, 0.0], atol=1e-7)
     np.testing.assert_allclose(pulled.u[0], [0.2], atol=1e-7)
     # The integral J has p = r where k J = s r.
-    held = find_rest(loops(model=carts(spring=1.0), integral={"band": 0.5, "limit": 0.4}), targets(0.3))
+    held = find_rest(make_loop(model=make_cart(spring=1.0), integral={"band": 0.5, "limit": 0.4}), targets(0.3))
     np.testing.assert_allclose(held.z[0], [0.3, 0.0, 0.15], atol=1e-6)
 
 
-def test_a_loop_that_nothing_stops_has_no_rest(loops, law):
-    assert not bool(find_rest(loops(law(0.0, 0.0, bias=0.5)), targets(0.3), seconds=1.0).still.any())
+def test_a_loop_that_nothing_stops_has_no_rest():
+    assert not bool(find_rest(make_loop(Law(0.0, 0.0, bias=0.5)), targets(0.3), seconds=1.0).still.any())
 
 
 @pytest.mark.parametrize(("seconds", "first", "last"), [(40.0, 351, 400), (10.0, 76, 100), (3.2, 25, 32)])
-def test_the_error_of_a_loop_without_rest_is_that_of_its_last_five_seconds_or_quarter(loops, law, seconds, first, last):
+def test_the_error_of_a_loop_without_rest_is_that_of_its_last_five_seconds_or_quarter(seconds, first, last):
     # p = 0.5 t^2 / 2 from its target on, with control periods of 0.1 s.
-    found = find_rest(loops(law(0.0, 0.0, bias=0.5)), targets(0.3), seconds=seconds)
+    found = find_rest(make_loop(Law(0.0, 0.0, bias=0.5)), targets(0.3), seconds=seconds)
     expected = np.mean([0.25 * (0.1 * k) ** 2 for k in range(first, last + 1)])
     assert found.error.item() == pytest.approx(expected, rel=1e-6)
 
@@ -195,8 +196,8 @@ def test_the_loop_is_that_which_is_open_at_one_input_alone():
         np.testing.assert_allclose(sensitivity(linear, omega)[:, i], 1 / (1 + np.array(expected)), rtol=1e-9)
 
 
-def test_a_long_flight_under_noise_spreads_as_much(loops):
-    loop = loops(observer={"delay": 1})
+def test_a_long_flight_under_noise_spreads_as_much():
+    loop = make_loop(observer={"delay": 1})
     held = find_rest(loop, torch.zeros(1, 1))
     gain = held.linear.row(0).noise_gain()
     assert gain[0, 1] == 0  # the rate is not measured
@@ -211,12 +212,12 @@ def test_a_long_flight_under_noise_spreads_as_much(loops):
 
 
 @pytest.mark.parametrize(("force", "slope"), [("tanh(100 v)", math.tanh(3.0) / 0.03), ("v |v|", 0.03)])
-def test_a_loop_is_that_of_movements_of_a_hundredth_of_the_ranges(loops, law, force, slope):
+def test_a_loop_is_that_of_movements_of_a_hundredth_of_the_ranges(force, slope):
     """p+ = p + 0.1 v, v+ = v + 0.1 (u - 0.15 f(v)): over 3 cm/s of 3 m/s dry friction and drag have these slopes."""
-    model = SindyModel(loops().signature, ["force", "v", force], known={"p": "v"})
+    model = SindyModel(make_loop().signature, ["force", "v", force], known={"p": "v"})
     model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, 0.0], [0.0, -0.15]], dtype=torch.float64))
     model.library = model.library.with_step(0.1)
-    linear = find_rest(loops(law(2.0, 1.2), model=model), targets(0.0)).linear
+    linear = find_rest(make_loop(Law(2.0, 1.2), model=model), targets(0.0)).linear
     expected = np.linalg.eigvals([[1.0, 0.1], [-0.2, 1 - 0.12 - 0.015 * slope]])
     np.testing.assert_allclose(np.sort_complex(linear.eigenvalues[0]), np.sort_complex(expected), atol=1e-9)
 

@@ -11,6 +11,7 @@ import jinja2
 import numpy as np
 import pytest
 import torch
+from controllers import HOSTILE, oven_controller, pendulum_controller, pendulum_model, rotor_controller
 
 from dynasindy.agents import actor
 from dynasindy.control import Controller, Observer, load, save
@@ -72,9 +73,9 @@ def difference(controller, plant, n_r):
 
 
 @needs_compiler
-def test_a_controller_acts_by_its_own_code_where_it_can(pendulum):
+def test_a_controller_acts_by_its_own_code_where_it_can():
     """Its numbers are those of the exported C; with a policy that is not ours they are those of torch."""
-    controller, native = pendulum(integral={}), Native(controller_sources(pendulum(integral={})))
+    controller, native = pendulum_controller(integral={}), Native(controller_sources(pendulum_controller(integral={})))
     readings = [[0.1 * math.sin(0.3 * k), math.nan] for k in range(20)]
     ours = [controller.act(y, [0.3])[0] for y in readings]
     assert ours == [native.act(y, [0.3])[0] for y in readings]
@@ -100,24 +101,24 @@ KINDS = [
 
 @needs_compiler
 @pytest.mark.parametrize("settings", KINDS, ids=str)
-def test_it_flies_a_pendulum_as_python_does(pendulum, tmp_path, settings):
-    assert difference(pendulum(**settings), Pendulum(), 1) < 1e-6
-    for name, text in controller_sources(pendulum(**settings)).files().items():
+def test_it_flies_a_pendulum_as_python_does(tmp_path, settings):
+    assert difference(pendulum_controller(**settings), Pendulum(), 1) < 1e-6
+    for name, text in controller_sources(pendulum_controller(**settings)).files().items():
         (tmp_path / name).write_text(text)
     compile_library([tmp_path / "controller.c"], tmp_path / "controller.so")  # without a warning of any kind
 
 
 @needs_compiler
 @pytest.mark.parametrize("integral", [None, {"band": 0.5, "gain": 2.0}])
-def test_it_flies_two_rotors_as_python_does(rotors, integral):
-    assert difference(rotors(integral), Tras(), 2) < 1e-6
+def test_it_flies_two_rotors_as_python_does(integral):
+    assert difference(rotor_controller(integral), Tras(), 2) < 1e-6
 
 
 @needs_compiler
-def test_an_output_without_a_rate_beside_one_with_a_rate_is_flown_as_in_python(rotors, tmp_path):
+def test_an_output_without_a_rate_beside_one_with_a_rate_is_flown_as_in_python(tmp_path):
     """The integral of an output without a rate grows as if it stood still, so it is another one than with the rate."""
     integral = {"band": 0.5, "gain": 2.0, "rate": 0.02}
-    mixed, whole = rotors(integral, damped=["Omega_a", None]), rotors(integral)
+    mixed, whole = rotor_controller(integral, damped=["Omega_a", None]), rotor_controller(integral)
     save(mixed, tmp_path / "controller.json")
     read = load(tmp_path / "controller.json")
     assert read.setup.task.rate_names == ["Omega_a", None]
@@ -138,8 +139,8 @@ def from_hot(act, controller, periods=60):
 
 @needs_compiler
 @pytest.mark.parametrize("pushed", [True, False])
-def test_a_store_that_nobody_measures_begins_at_80_degrees_as_in_python(oven, pushed):
-    controller = oven(pushed)
+def test_a_store_that_nobody_measures_begins_at_80_degrees_as_in_python(pushed):
+    controller = oven_controller(pushed)
     other = by_torch(controller)
     expected = from_hot(other.act, controller)
     assert expected[:, 0].std() > 0.005
@@ -151,10 +152,10 @@ def test_a_store_that_nobody_measures_begins_at_80_degrees_as_in_python(oven, pu
 
 @needs_compiler
 @pytest.mark.parametrize("observer", [True, False])
-def test_a_one_sided_actuator_is_off_where_the_first_call_is_refused_and_never_set_below(pendulum, observer):
+def test_a_one_sided_actuator_is_off_where_the_first_call_is_refused_and_never_set_below(observer):
     """A motor of 0 to 12 V gets 0 V, and not the half of its power."""
     signature = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 3.0), [[-12, 12]], [[0, 1]], ["V"])
-    controller = pendulum(observer=observer, signature=signature)
+    controller = pendulum_controller(observer=observer, signature=signature)
     controller.network.layers()[-1].bias.sub_(0.19)  # about zero
     native = Native(controller_sources(controller))
     with pytest.raises(ValueError, match="not finite"):
@@ -166,8 +167,8 @@ def test_a_one_sided_actuator_is_off_where_the_first_call_is_refused_and_never_s
 
 
 @needs_compiler
-def test_a_reset_forgets_everything_and_what_is_no_number_changes_nothing(pendulum):
-    native = Native(controller_sources(pendulum(integral={})))
+def test_a_reset_forgets_everything_and_what_is_no_number_changes_nothing():
+    native = Native(controller_sources(pendulum_controller(integral={})))
     first = [native.act([0.1 * k, math.nan], [0.3])[0] for k in range(5)]
     with pytest.raises(ValueError, match="not finite"):
         native.act([0.1, math.nan], [math.nan])
@@ -180,8 +181,8 @@ def test_a_reset_forgets_everything_and_what_is_no_number_changes_nothing(pendul
 
 
 @needs_compiler
-def test_a_model_that_explodes_leaves_a_finite_input(pendulum):
-    controller = pendulum(delay=0.07)
+def test_a_model_that_explodes_leaves_a_finite_input():
+    controller = pendulum_controller(delay=0.07)
     controller.observer.stops = Stops((0,), (1,), (-0.6,), (math.inf,))
     controller.observer.model.set_coefficients(controller.observer.model.coefficients * -400.0)
     native = Native(controller_sources(controller))
@@ -211,8 +212,8 @@ WATCHED = ("-O1", "-std=c99", "-fsanitize=address,undefined", "-fno-sanitize-rec
 
 @needs_compiler
 @pytest.mark.parametrize("settings", KINDS[1:2] + KINDS[3:4], ids=str)
-def test_no_array_is_read_or_written_beyond_its_ends(pendulum, tmp_path, settings):
-    sources = controller_sources(pendulum(**settings))
+def test_no_array_is_read_or_written_beyond_its_ends(tmp_path, settings):
+    sources = controller_sources(pendulum_controller(**settings))
     program = """#include <math.h>
 #include <stdio.h>
 #include "controller.h"
@@ -248,8 +249,8 @@ int main(void)
 
 
 @needs_compiler
-def test_names_of_a_file_become_no_code(pendulum, hostile):
-    sources = controller_sources(pendulum(signature=hostile))
+def test_names_of_a_file_become_no_code():
+    sources = controller_sources(pendulum_controller(signature=HOSTILE))
     for text in (sources.header, sources.source):
         bare = re.sub(r"/\*.*?\*/", "", text, flags=re.S)
         assert "int f()" not in bare and "°" not in text and "*/" not in bare
@@ -287,12 +288,12 @@ def glitched(controller, seed, periods=120):
 
 @needs_compiler
 @pytest.mark.parametrize("kind", ["pendulum", "late", "oven", "rotors"])
-def test_broken_samples_are_answered_as_in_python_call_by_call(pendulum, oven, rotors, kind):
+def test_broken_samples_are_answered_as_in_python_call_by_call(kind):
     controller = {
-        "pendulum": lambda: pendulum(integral={"gain": 3.0}, delay=0.0, stops=False),
-        "late": lambda: pendulum(disturbance=False),
-        "oven": oven,
-        "rotors": rotors,
+        "pendulum": lambda: pendulum_controller(integral={"gain": 3.0}, delay=0.0, stops=False),
+        "late": lambda: pendulum_controller(disturbance=False),
+        "oven": oven_controller,
+        "rotors": rotor_controller,
     }[kind]()
     readings = glitched(controller, 0, 40 if kind == "rotors" else 120)
     r = [70.0 if kind == "oven" else 0.1] * len(controller.outputs)
@@ -305,9 +306,9 @@ def test_broken_samples_are_answered_as_in_python_call_by_call(pendulum, oven, r
 
 @needs_compiler
 @pytest.mark.filterwarnings("ignore:the reference")
-def test_a_refused_call_leaves_the_controller_as_it_was(pendulum):
+def test_a_refused_call_leaves_the_controller_as_it_was():
     """A reference beyond single precision leaves no finite action, after the observer has moved on."""
-    controller = pendulum(integral={"gain": 3.0})
+    controller = pendulum_controller(integral={"gain": 3.0})
     native = Native(controller_sources(controller))
     whole, kept = [], []
     for act in (by_torch(controller).act, native.act):
@@ -377,15 +378,15 @@ def test_without_terms_or_inputs_it_compiles_too(tmp_path):
 
 
 @needs_compiler
-def test_hostile_names_are_comments_and_places_alone(pendulum_model, hostile, tmp_path):
-    sources = model_sources(pendulum_model(hostile))
+def test_hostile_names_are_comments_and_places_alone(tmp_path):
+    sources = model_sources(pendulum_model(HOSTILE))
     assert compiled(sources, tmp_path)([0.0, 0.0], [0.5], 2) == [0.0, 4.0]
     bare = re.sub(r"/\*.*?\*/", "", sources.header, flags=re.S)
     assert "model_x_int = 0" in bare and "f()" not in bare
 
 
 @needs_compiler
-def test_a_difference_equation_is_what_comes_next(pendulum_model, tmp_path):
+def test_a_difference_equation_is_what_comes_next(tmp_path):
     """theta+ = theta + 0.05 Omega and Omega+ = Omega + 0.05 (8 u - 0.6 Omega - 2.5 tanh(3.7 theta) ...)."""
     sources = model_sources(pendulum_model(step=0.05))
     assert "x[k+1] = F(x[k], u[k])" in sources.header and "A step takes 0.05 s" in " ".join(sources.header.split())
@@ -439,8 +440,10 @@ def test_what_is_filled_in_is_not_looked_at_again():
 
 
 @needs_compiler
-def test_two_controllers_of_one_name_live_side_by_side(pendulum):
-    one, other = (Native(controller_sources(pendulum(observer=False, integral=i))) for i in (None, {"gain": 5.0}))
+def test_two_controllers_of_one_name_live_side_by_side():
+    one, other = (
+        Native(controller_sources(pendulum_controller(observer=False, integral=i))) for i in (None, {"gain": 5.0})
+    )
     first = [one.act([0.1, 0.0], [0.12])[0], other.act([0.1, 0.0], [0.12])[0]]
     assert first[0] == first[1]
     assert one.act([0.1, 0.0], [0.12])[0] == first[0]
@@ -450,8 +453,8 @@ def test_two_controllers_of_one_name_live_side_by_side(pendulum):
 
 
 @needs_compiler
-def test_calls_that_are_timed_are_forgotten(pendulum):
-    one = Native(controller_sources(pendulum(observer=False, integral={})))
+def test_calls_that_are_timed_are_forgotten():
+    one = Native(controller_sources(pendulum_controller(observer=False, integral={})))
     first = one.act([0.1, 0.0], [0.12])
     assert one.microseconds() > 0
     assert one.act([0.1, 0.0], [0.12]) == first

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 import torch
+from controllers import pendulum_controller, pendulum_model, rotor_controller
 
 from dynasindy import __version__
 from dynasindy.control.c_code import Native
@@ -24,9 +25,9 @@ def described(path):
         return ElementTree.fromstring(archive.read("modelDescription.xml")), set(archive.namelist())
 
 
-def test_without_a_compiler_it_holds_sources_and_says_so(pendulum, tmp_path, monkeypatch):
+def test_without_a_compiler_it_holds_sources_and_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(fmu, "compiler", lambda: None)
-    assert controller_fmu(pendulum(), tmp_path / "c.fmu") is False
+    assert controller_fmu(pendulum_controller(), tmp_path / "c.fmu") is False
     root, files = described(tmp_path / "c.fmu")
     assert files == {"modelDescription.xml", *(f"sources/{n}" for n in (
         "buildDescription.xml", "controller.c", "controller.h", "controller_fmi.c"))}  # fmt: skip
@@ -42,9 +43,7 @@ def test_without_a_compiler_it_holds_sources_and_says_so(pendulum, tmp_path, mon
 
 
 @pytest.mark.parametrize(("version", "token"), [(2, "guid"), (3, "instantiationToken")])
-def test_a_plant_takes_inputs_and_gives_states_that_may_be_set_at_the_start(
-    pendulum_model, tmp_path, monkeypatch, version, token
-):
+def test_a_plant_takes_inputs_and_gives_states_that_may_be_set_at_the_start(tmp_path, monkeypatch, version, token):
     monkeypatch.setattr(fmu, "compiler", lambda: None)
     plant_fmu(pendulum_model(), tmp_path / "p.fmu", 0.02, version=version)
     root, _ = described(tmp_path / "p.fmu")
@@ -170,8 +169,10 @@ def test_what_the_standard_forbids_is_an_error(tmp_path, version):
 
 
 @needs_compiler
-def test_a_controller_acts_at_the_multiples_of_its_period_whatever_the_steps_of_the_simulator(rotors, tmp_path):
-    controller = rotors({"gain": 2.0, "rate": 0.3, "band": 0.9})  # it reads two angles and two speeds of six states
+def test_a_controller_acts_at_the_multiples_of_its_period_whatever_the_steps_of_the_simulator(tmp_path):
+    controller = rotor_controller(
+        {"gain": 2.0, "rate": 0.3, "band": 0.9}
+    )  # it reads two angles and two speeds of six states
     controller_fmu(controller, tmp_path / "c.fmu")
     unit, native, now = Library(tmp_path / "c.fmu", 3, start=2.0), Native(controller_sources(controller)), 2.0
     names, seen = controller.signature.state_names, [0.1, -0.2, 300.0, 500.0]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import sympy
 import torch
+from controllers import HOSTILE, pendulum_model, rotor_controller
 
 from dynasindy.export.formats import casadi_source, field_of, latex_source
 from dynasindy.sindy.pysindy_interchange import to_sympy
@@ -20,14 +21,14 @@ def by_hand(x, u):
 CALLS = {name: getattr(np, name) for name in ("sin", "cos", "exp", "tanh", "sqrt", "sign", "square", "fabs")}
 
 
-def test_plain_python_takes_all_functions_of_the_rotors(rotors):
-    model = rotors().observer.model
+def test_plain_python_takes_all_functions_of_the_rotors():
+    model = rotor_controller().observer.model
     x = np.array([0.1, -0.4, 0.3, 0.2, -2000.0, 1500.0])
     expected = model(torch.from_numpy(x), torch.tensor([0.2, -0.3], dtype=torch.float64))
     np.testing.assert_allclose(field_of(model, CALLS | {"larger": np.maximum})(x, [0.2, -0.3]), expected, rtol=1e-10)
 
 
-def test_the_file_for_casadi_runs_and_computes_the_equations(pendulum_model):
+def test_the_file_for_casadi_runs_and_computes_the_equations():
     pytest.importorskip("casadi", reason="CasADi is not installed: pip install -e '.[export]'")
     scope = {}
     exec(compile(casadi_source(pendulum_model(delay=0.1)), "model.py", "exec"), scope)
@@ -37,13 +38,13 @@ def test_the_file_for_casadi_runs_and_computes_the_equations(pendulum_model):
         np.testing.assert_allclose(np.array(function(x, u)).ravel(), by_hand(x, u), rtol=1e-12)
 
 
-def test_names_of_a_file_are_strings_and_words_in_the_file_for_casadi(pendulum_model, hostile):
-    text = casadi_source(pendulum_model(hostile))
+def test_names_of_a_file_are_strings_and_words_in_the_file_for_casadi():
+    text = casadi_source(pendulum_model(HOSTILE))
     tree = compile(text, "model.py", "exec")
     assert "f" not in tree.co_names and ("int", "x y.z'-") in tree.co_consts and text.isascii()
 
 
-def test_latex_shows_every_term_once(pendulum_model):
+def test_latex_shows_every_term_once():
     text = latex_source(pendulum_model(delay=0.1))
     assert text.startswith("% Inputs act 0.1 s after they are given.\n\\begin{align*}\n\\dot{\\theta} = & \\Omega")
     terms = (
@@ -57,7 +58,7 @@ def test_latex_shows_every_term_once(pendulum_model):
     assert [text.count(term) for term in terms] == [1] * len(terms)
 
 
-def test_a_difference_equation_is_what_comes_next_in_all_forms(pendulum_model):
+def test_a_difference_equation_is_what_comes_next_in_all_forms():
     model = pendulum_model(step=0.05)
     source = casadi_source(model)
     assert "STEP = 0.05" in source and "x[k+1] = F(x[k], u[k])" in source and '["next"]' in source

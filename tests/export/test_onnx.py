@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from controllers import oven_controller, pendulum_controller, rotor_controller
 
 from dynasindy.export.onnx import controller_onnx, policy_onnx
 from dynasindy.systems import Pendulum, Tras
@@ -64,35 +65,35 @@ def long(settings):
     ],
     ids=str,
 )
-def test_it_flies_a_pendulum_as_python_does(pendulum, settings, tmp_path):
-    controller = pendulum(**settings)
+def test_it_flies_a_pendulum_as_python_does(settings, tmp_path):
+    controller = pendulum_controller(**settings)
     assert flights_in_c.apart(controller, written(controller, tmp_path).act, Pendulum(), 1) < 1e-6
 
 
 @pytest.mark.slow
-def test_it_flies_two_rotors_as_python_does(rotors, tmp_path):
-    controller = rotors({"band": 0.5, "gain": 2.0}, damped=["Omega_a", None])
+def test_it_flies_two_rotors_as_python_does(tmp_path):
+    controller = rotor_controller({"band": 0.5, "gain": 2.0}, damped=["Omega_a", None])
     assert flights_in_c.apart(controller, written(controller, tmp_path).act, Tras(), 2) < 1e-6
 
 
 @pytest.mark.parametrize("pushed", [True, False])
-def test_a_store_that_nobody_measures_begins_at_80_degrees_as_in_python(oven, pushed, tmp_path):
-    controller = oven(pushed)
+def test_a_store_that_nobody_measures_begins_at_80_degrees_as_in_python(pushed, tmp_path):
+    controller = oven_controller(pushed)
     expected = flights_in_c.from_hot(flights_in_c.by_torch(controller).act, controller)
     found = flights_in_c.from_hot(written(controller, tmp_path).act, controller)
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
-def test_the_file_says_what_goes_in_and_comes_out(pendulum, tmp_path):
-    told = written(pendulum(**SHORT), tmp_path).session.get_modelmeta().custom_metadata_map
+def test_the_file_says_what_goes_in_and_comes_out(tmp_path):
+    told = written(pendulum_controller(**SHORT), tmp_path).session.get_modelmeta().custom_metadata_map
     assert (told["reference"], told["measurement"], told["period"]) == ("theta", "theta, Omega", "0.04 s")
     # 1 input, 3 states with 9 covariances, two inputs more than the one period of delay, 3 of the shift
     assert "units of u" not in told
     assert told["state"] == f"{1 + 3 + 9 + 3 + 3} numbers, zeros at the start"
 
 
-def test_each_call_is_that_of_python_also_where_samples_are_lost_or_wild_or_no_action_follows(pendulum, tmp_path):
-    controller = pendulum(integral={"band": 0.9}, **SHORT)
+def test_each_call_is_that_of_python_also_where_samples_are_lost_or_wild_or_no_action_follows(tmp_path):
+    controller = pendulum_controller(integral={"band": 0.9}, **SHORT)
     step, rng, last, refused = written(controller, tmp_path), np.random.default_rng(7), np.zeros(1), 0
     for k in range(60):
         y = [0.1 * math.sin(0.3 * k) + 0.01 * rng.standard_normal(), math.nan]
@@ -108,8 +109,8 @@ def test_each_call_is_that_of_python_also_where_samples_are_lost_or_wild_or_no_a
     assert refused >= 2
 
 
-def test_onnxruntime_acts_as_the_policy(pendulum, tmp_path):
-    controller = pendulum()
+def test_onnxruntime_acts_as_the_policy(tmp_path):
+    controller = pendulum_controller()
     policy_onnx(controller, tmp_path / "policy.onnx")
     onnx.checker.check_model(str(tmp_path / "policy.onnx"), full_check=True)
     graph = onnx.load(str(tmp_path / "policy.onnx"))

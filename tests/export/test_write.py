@@ -4,6 +4,7 @@ import sys
 import zipfile
 
 import pytest
+from controllers import pendulum_controller, pendulum_model
 
 from dynasindy.control import save
 from dynasindy.export import fmu, write
@@ -28,8 +29,8 @@ def unit(folder, member):
         return packed.read(member).decode()
 
 
-def test_a_run_folder_gives_everything(pendulum, tmp_path):
-    controller = pendulum()
+def test_a_run_folder_gives_everything(tmp_path):
+    controller = pendulum_controller()
     save(controller, tmp_path / "controller.json")
     lines = write.write(*write.read(tmp_path), tmp_path / "out", ["c", "fmu", "model"])
     assert names(tmp_path / "out") == MODEL | {"controller.c", "controller.h", "controller.fmu", "plant.fmu"}
@@ -41,7 +42,7 @@ def test_a_run_folder_gives_everything(pendulum, tmp_path):
         assert found is not None
 
 
-def test_a_model_alone_gives_its_own_files(pendulum, pendulum_model, tmp_path):
+def test_a_model_alone_gives_its_own_files(tmp_path):
     pendulum_model().save(tmp_path / "model.json")
     for source in (tmp_path, tmp_path / "model.json"):
         write.write(*write.read(source), tmp_path / "out", ["c", "onnx", "fmu", "model"])
@@ -49,11 +50,11 @@ def test_a_model_alone_gives_its_own_files(pendulum, pendulum_model, tmp_path):
     with pytest.raises(ValueError, match="model was given"):
         write.write(*write.read(tmp_path), tmp_path / "none", ["c"])
     with pytest.raises(ValueError, match="formats is empty"):
-        write.write(pendulum(), pendulum_model(), tmp_path / "none", [])
+        write.write(pendulum_controller(), pendulum_model(), tmp_path / "none", [])
 
 
-def test_without_an_observer_the_model_of_the_run_is_taken_or_missed(pendulum, pendulum_model, tmp_path):
-    save(pendulum(observer=False), tmp_path / "controller.json")
+def test_without_an_observer_the_model_of_the_run_is_taken_or_missed(tmp_path):
+    save(pendulum_controller(observer=False), tmp_path / "controller.json")
     lines = write.write(*write.read(tmp_path), tmp_path / "out", ["fmu", "model"])
     assert names(tmp_path / "out") == {"controller.fmu"} and "nothing of the plant is written" in lines[-1]
     pendulum_model().save(tmp_path / "model.json")
@@ -62,10 +63,8 @@ def test_without_an_observer_the_model_of_the_run_is_taken_or_missed(pendulum, p
 
 
 @pytest.mark.parametrize(("dt", "substeps", "step"), [(0.04, 1, 0.01), (0.04, 8, 0.005), (0.008, 1, 0.008)])
-def test_without_an_observer_the_plant_keeps_its_stops_and_its_steps(
-    pendulum, pendulum_model, tmp_path, dt, substeps, step
-):
-    controller = pendulum(observer=False)
+def test_without_an_observer_the_plant_keeps_its_stops_and_its_steps(tmp_path, dt, substeps, step):
+    controller = pendulum_controller(observer=False)
     controller.setup.dt, controller.setup.substeps = dt, substeps
     save(controller, tmp_path / "controller.json")
     pendulum_model().save(tmp_path / "model.json")
@@ -74,9 +73,9 @@ def test_without_an_observer_the_plant_keeps_its_stops_and_its_steps(
     assert "stop(&x[0], &x[1], (-0.6), 0.25);" in unit(tmp_path / "out", "sources/plant.c")
 
 
-def test_a_package_that_is_missing_is_named_and_the_rest_is_written(pendulum, tmp_path, monkeypatch):
+def test_a_package_that_is_missing_is_named_and_the_rest_is_written(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
-    save(pendulum(), tmp_path / "controller.json")
+    save(pendulum_controller(), tmp_path / "controller.json")
     lines = write.write(*write.read(tmp_path), tmp_path / "out", ["c", "onnx"])
     assert "controller.onnx and policy.onnx are not written: ONNX needs the package onnx" in lines[-1]
     with pytest.raises(ValueError, match=r"policy\.onnx"):

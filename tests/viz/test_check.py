@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from carts import make_loop
 
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
@@ -14,21 +15,10 @@ from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
 from dynasindy.viz.check import draw_check
 
-CART = Signature(("p", "v"), ("m", "m/s"), ("force",), (2.0, 3.0))
-
 
 def held_cart(draws: int) -> Check:
     """Return the check of p' = v, v' = force under force = 2 (r - p) - 2.5 v, at -0.4, 0 and 0.4 m."""
-
-    def law(tensordict):
-        seen = tensordict["observation"]  # p / 2, v / 3 and the error over 0.5
-        return tensordict.set("action", 2.0 * 0.5 * seen[..., 2:] - 2.5 * 3.0 * seen[..., 1:2])
-
-    model = SindyModel(CART, ["force", "v"], known={"p": "v"})
-    model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, 0.0]], dtype=torch.float64))
-    task = Tracking(CART, Step([[0.0]]), ["p"], ["v"], TrackingReward((1.0,)))
-    loop = ClosedLoop(Controller(law, ControlSetup(task, 0.1, 2, None)), model, 0.05)
-    return check(loop, Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=draws))
+    return check(make_loop(), Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=draws))
 
 
 def held_pair() -> Check:

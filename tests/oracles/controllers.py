@@ -1,6 +1,5 @@
 """Controllers of a pendulum and of a rotor plant, as small as they may be, with numbers that are no defaults."""
 
-import pytest
 import torch
 
 from dynasindy.agents.networks import actor
@@ -12,6 +11,8 @@ from dynasindy.sindy.library import Library, of, variable
 from dynasindy.sindy.named_libraries import rotor
 from dynasindy.systems import Signature, Stops, Tras
 
+HOSTILE = Signature(("int", "x y.z'-"), ("*/ int f() /*", "%/°*/"), ("_u",), (1.5, 3.0))
+"""Names and units that mean something in C, Python, XML and LaTeX."""
 PENDULUM = Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.5, 3.0))
 
 
@@ -21,7 +22,7 @@ def policy_of(task, hidden=(8, 5), seed=1):
         return actor(task.n_o, task.signature.n_u, hidden).requires_grad_(False)
 
 
-def model_of(signature=PENDULUM, delay=0.0, step=None):
+def pendulum_model(signature=PENDULUM, delay=0.0, step=None):
     angle, rate = signature.state_names
     push, omega = variable(signature.input_names[0]), variable(rate)
     words = [push, omega, of("tanh", angle, frequency=3.7), of("sin", angle), omega * of("abs", rate)]
@@ -60,7 +61,7 @@ def pendulum_controller(
     sensors = Sensors(
         {angle: {"resolution": 0.01, "noise": 0.002}}, rates={angle: rate}, delay=1, disturbance=disturbance
     )
-    watching = Observer(model_of(signature, delay, step), sensors, setup)
+    watching = Observer(pendulum_model(signature, delay, step), sensors, setup)
     watching.load_state_dict({"process_noise": [0.013, 0.021, 0.4][: 2 + disturbance], "nis": 1.1})
     return Controller(policy_of(task), setup, watching, integral)
 
@@ -98,29 +99,3 @@ def rotor_controller(integral=None, delay=0.03, damped=("Omega_a", "Omega_p")):
     observer = Observer(model, Sensors(channels, rates=rates, disturbance=True), setup)
     observer.load_state_dict({"process_noise": [0.01] * 6 + [0.05] * 2, "nis": 1.0})
     return Controller(policy_of(task, (24, 16), 2), setup, observer, integral)
-
-
-@pytest.fixture
-def pendulum():
-    return pendulum_controller
-
-
-@pytest.fixture(scope="session")
-def oven():
-    return oven_controller
-
-
-@pytest.fixture(scope="session")
-def rotors():
-    return rotor_controller
-
-
-@pytest.fixture
-def pendulum_model():
-    return model_of
-
-
-@pytest.fixture
-def hostile():
-    """Names and units that mean something in C, Python, XML and LaTeX."""
-    return Signature(("int", "x y.z'-"), ("*/ int f() /*", "%/°*/"), ("_u",), (1.5, 3.0))

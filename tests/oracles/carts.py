@@ -2,7 +2,6 @@
 
 import math
 
-import pytest
 import torch
 
 from dynasindy.agents.networks import actor
@@ -29,12 +28,12 @@ class Law:
         return tensordict.set("action", u.clamp(-self.limit, self.limit))
 
 
-def task_of(signature=CART):
+def make_task(signature=CART):
     outputs, rates = signature.state_names[:1], signature.state_names[1:]
     return Tracking(signature, Step([[0.0]]), outputs, rates, TrackingReward((1.0,)), error_scale=0.7)
 
 
-def cart(delay=0.0, friction=0.0, spring=0.0, step=None):
+def make_cart(delay=0.0, friction=0.0, spring=0.0, step=None):
     """p' = v, v' = force - friction v - spring p; with a step [s] the difference equation of these changes."""
     model = SindyModel(CART, ["force", "v", "p"], known={"p": "v"})
     model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, -friction], [0.0, -spring]], dtype=torch.float64))
@@ -49,45 +48,20 @@ def watching(model, setup, **settings):
     return observer
 
 
-def loop_of(law=None, model=None, observer=None, integral=None, stops=None, dt=DT, step=DT / 2):
-    model = model or cart()
-    setup = ControlSetup(task_of(), dt, 2, stops)
+def make_loop(law=None, model=None, observer=None, integral=None, stops=None, dt=DT, step=DT / 2):
+    model = model or make_cart()
+    setup = ControlSetup(make_task(), dt, 2, stops)
     seeing = None if observer is None else watching(model, setup, **observer)
     controller = Controller(law or Law(2.0, 2.5), setup, seeing, integral)
     return ClosedLoop(controller, model, step)
 
 
-def network_loop(delay=0.07, disturbance=True, late=1, integral=None):
+def make_network_loop(delay=0.07, disturbance=True, late=1, integral=None):
     """A pendulum-like cart with a network, an observer that estimates a push, delays and stops."""
-    model = cart(delay, 0.3, 0.8)
-    setup = ControlSetup(task_of(), 0.04, 3, Stops((0,), (1,), (-0.6,), (0.6,)))
+    model = make_cart(delay, 0.3, 0.8)
+    setup = ControlSetup(make_task(), 0.04, 3, Stops((0,), (1,), (-0.6,), (0.6,)))
     with torch.random.fork_rng():
         torch.manual_seed(4)
         policy = actor(setup.task.n_o, 1, (8, 5)).requires_grad_(False)
     seeing = watching(model, setup, delay=late, disturbance=disturbance)
     return ClosedLoop(Controller(policy, setup, seeing, integral), model, 0.04 / 3)
-
-
-@pytest.fixture(scope="session")
-def loops():
-    return loop_of
-
-
-@pytest.fixture(scope="session")
-def law():
-    return Law
-
-
-@pytest.fixture(scope="session")
-def carts():
-    return cart
-
-
-@pytest.fixture(scope="session")
-def networks():
-    return network_loop
-
-
-@pytest.fixture(scope="session")
-def tasks():
-    return task_of
