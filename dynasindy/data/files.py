@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO
+from typing import Any, TextIO
 
 import numpy as np
 import pandas as pd
@@ -71,17 +71,6 @@ def read_file(path: Path) -> Raw:
             f"{path} cannot be read as {path.suffix} ({' '.join(str(error).split())[:200]}); allowed is a whole file "
             "of this format: export the log again, or as CSV"
         ) from error
-
-
-class _Layout(NamedTuple):
-    """How a text is laid out; `first` counts the lines before the first one of values."""
-
-    separator: str
-    decimal: str
-    headings: Sequence[str]
-    width: int
-    first: int
-    findings: list[Finding]
 
 
 def _read_text(path: Path, file: TextIO) -> Raw:
@@ -174,8 +163,11 @@ def _are_units(row: Sequence[str], above: Sequence[str]) -> bool:
     return 2 * known >= len(words) or all(re.fullmatch(r"\[[^\]]*\]|\([^)]*\)", text) for text in words)
 
 
-def _layout(path: Path, lines: Sequence[str]) -> _Layout:
-    """Find values from below, then the headings above them; what stands above these is a title."""
+def _layout(path: Path, lines: Sequence[str]) -> tuple[str, str, Sequence[str], int, int, list[Finding]]:
+    """Find values from below, then the headings above them; what stands above these is a title.
+
+    Returns separator, sign of decimals, headings, columns, lines before the first one of values, and what was left out.
+    """
     lines = [re.sub(r"^\s*[#%]+\s*", "", line.removeprefix("\ufeff")) for line in lines]
     filled = [k for k, line in enumerate(lines) if line.strip(" ,;\t")]
     if not filled:
@@ -219,7 +211,7 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
         headings = [_with_unit(*pair) for pair in zip(headings, bare, strict=True)]
     above = [note("log.title_lines", count=filled[place])] if filled[place] else []
     last = filled[first] if first < len(filled) else filled[first - 1] + 1
-    return _Layout(separator, decimal, headings, max(width, len(headings)), last, above)
+    return separator, decimal, headings, max(width, len(headings)), last, above
 
 
 def _differ(row: Sequence[str], common: int) -> bool:

@@ -149,12 +149,10 @@ def judge_control(
             told = away.setdefault(name, {"share": 0.0, "swings": True})
             told |= {"share": max(told["share"], share_of_runs), "swings": told["swings"] and name in flight.swings}
     controlled = False if missed or away else True if outputs else None
+    ringing = dict.fromkeys(name for flight in flights for name in flight.ringing if name not in away)
+    idle, rates = (sorted({name for flight in flights for name in getattr(flight, of)}) for of in ("idle", "rates"))
     facts |= {"controlled": controlled, "outputs": outputs, "within": within, "lost": lost, "away": away}
-    facts |= {"moving": first.moving}
-    ringing = dict.fromkeys(name for flight in flights for name in flight.ringing)
-    facts |= {"ringing": [name for name in ringing if name not in away]}
-    facts |= {"idle": sorted({name for flight in flights for name in flight.idle})}
-    rates = sorted({name for flight in flights for name in flight.rates})
+    facts |= {"moving": first.moving, "ringing": [*ringing], "idle": idle}
     # Where outputs are not held either, it is not for a state that nobody asked to come to rest.
     if away and rates and first.targets and not missed:
         facts |= {"rates": rates, "targets": first.targets}

@@ -307,9 +307,8 @@ class System(nn.Module, ABC):
 
     def extra_repr(self) -> str:
         """Return its states and inputs, for `repr`."""
-        states = zip(self.signature.state_names, self.signature.state_units, strict=True)
-        moves = ", ".join(f"{name} [{unit}]" for name, unit in states)
-        return f"{moves} under {', '.join(self.signature.input_names)}"
+        states = self.signature.headings(self.signature.state_names)
+        return f"{', '.join(states)} under {', '.join(self.signature.input_names)}"
 
     @property
     def step(self) -> float | None:
