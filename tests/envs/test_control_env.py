@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from alternating import Mapped
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from tensordict import TensorDict
@@ -157,13 +158,7 @@ def test_types_and_bounds_are_those_that_policies_expect():
 
 
 def test_a_plant_that_moves_in_steps_has_periods_of_whole_steps_and_no_samples_within_them():
-    class Alternating(System):
-        step = 0.1
-
-        def forward(self, x, u):
-            return (u - 1.5 * x) / 0.1
-
-    plant = Alternating(Signature(("x",), ("-",), ("u",), (1.0,)))
+    plant = Mapped(-0.5, 1.0, 0.1)
     task = Tracking(plant.signature, RandomStep([-0.5], [0.5]), ["x"], [], TrackingReward([1.0]))
     env = ControlEnv(plant, task, 0.1, 1, dtype=torch.float64)
     env.check_plant()
@@ -171,7 +166,7 @@ def test_a_plant_that_moves_in_steps_has_periods_of_whole_steps_and_no_samples_w
     assert rollout["next", "state"].flatten().tolist() == pytest.approx([-0.1, 0.35])  # -0.5 x + u
     with pytest.raises(ValueError, match="substeps=5"):
         ControlEnv(plant, task, 0.1, 5).check_plant()
-    with pytest.raises(ValueError, match="Alternating"):
+    with pytest.raises(ValueError, match="Mapped"):
         ControlEnv(plant, task, 0.05, 1).check_plant()
 
 
@@ -286,16 +281,9 @@ def test_another_plant_and_another_task_have_the_same_delay():
 @pytest.mark.parametrize(("delay", "late_steps"), [(0.05, 2), (0.075, 3)])
 def test_a_difference_equation_gets_its_inputs_whole_steps_late(delay, late_steps):
     """x[k+1] = -0.5 x[k] + u[k - late], two steps of 0.025 s to a control period."""
-
-    class Alternating(System):
-        step = 0.025
-
-        def forward(self, x, u):
-            return (-1.5 * x + u) / 0.025
-
-    signature = Signature(("x",), ("-",), ("u",), (1.0,))
-    task = Tracking(signature, Step([[0.3]]), ("x",), (), TrackingReward((4.0,)), max_steps=40)
-    env = ControlEnv(Alternating(signature), task, DT, 2, delay=delay, dtype=torch.float64)
+    plant = Mapped(-0.5, 1.0, 0.025)
+    task = Tracking(plant.signature, Step([[0.3]]), ("x",), (), TrackingReward((4.0,)), max_steps=40)
+    env = ControlEnv(plant, task, DT, 2, delay=delay, dtype=torch.float64)
     inputs = torch.sin(torch.arange(20.0))
     rows = env.rollout(20, lambda td: td.set("action", inputs[td["step_count"]]))
     x, seen = 0.0, []
@@ -304,7 +292,7 @@ def test_a_difference_equation_gets_its_inputs_whole_steps_late(delay, late_step
         seen.append(x)
     np.testing.assert_allclose(rows["next", "state"].flatten(), seen[1::2], rtol=1e-6)
     with pytest.raises(ValueError, match="cannot"):
-        ControlEnv(Alternating(signature), task, DT, 2, delay=0.06, dtype=torch.float64).rollout(3)
+        ControlEnv(plant, task, DT, 2, delay=0.06, dtype=torch.float64).rollout(3)
 
 
 class Oscillator(System):

@@ -4,16 +4,16 @@ from dynasindy.systems.base import Signature, System
 
 
 class Mapped(System):
-    """x[k+1] = a x[k] + b u[k], by steps of 0.5 s."""
+    """x[k+1] = a x[k] + b u[k], by steps of half a second or another time."""
 
     step = 0.5
 
-    def __init__(self, a, b):
+    def __init__(self, a, b, step=0.5):
         super().__init__(Signature(("x",), ("-",), ("u",), (1.0,)))
-        self.a, self.b = a, b
+        self.a, self.b, self.step = a, b, step
 
     def forward(self, x, u):
-        return ((self.a - 1) * x + self.b * u) / 0.5
+        return ((self.a - 1) * x + self.b * u) / self.step
 
 
 class Alternating(Mapped):

@@ -1,4 +1,4 @@
-"""Refinement goes beyond the trapezoidal rule, and chooses its criterion by what the errors look like."""
+"""Refinement beyond the trapezoidal rule: single steps as in the exact discrete form, a criterion by the errors."""
 
 import math
 
@@ -6,19 +6,18 @@ import numpy as np
 import pytest
 import torch
 from benchmarks.identify import TEXTBOOK
+from first_order import LIBRARY, A, B, column
 from scipy.linalg import expm
+from scipy.optimize import least_squares
 
-from dynasindy.sindy import Library, Refinement, Regression, SindyModel
-from dynasindy.sindy.library import CONSTANT, Constraints, variable
+from dynasindy.sindy import Library, Refinement, Regression, SindyModel, shooting
+from dynasindy.sindy.library import Constraints, variable
 from dynasindy.sindy.reconstruction import RegressionData
 from dynasindy.sindy.refinement import looks_noisy
 from dynasindy.sindy.regression import TriangularFactor, integral_form
 from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
 
-SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
-LIBRARY = Library(SIGNATURE, [variable("y"), variable("u"), CONSTANT, variable("y", 2)])
-A, B = -2.0, 3.0
 FREE = Constraints.build(LIBRARY, {}, {}, {})
 
 
@@ -38,10 +37,6 @@ def first(data: Transitions) -> torch.Tensor:
 
 def error(xi: torch.Tensor) -> float:
     return float((xi.flatten() - torch.tensor([A, B, 0, 0])).abs().max())
-
-
-def column(*values: float) -> torch.Tensor:
-    return torch.tensor(values, dtype=torch.float64).unsqueeze(-1)
 
 
 def test_each_method_is_nearer_to_the_plant_than_the_one_before():
@@ -201,3 +196,98 @@ def test_a_clean_log_with_long_steps_and_an_input_that_jumps_at_each_is_not_nois
     found = model.fit(Transitions.from_trajectory(torch.from_numpy(np.array(x)), torch.from_numpy(u)[:, None], dt))
     assert model.delay == 0 and "fit.single_steps" in [each.code for each in found.findings]
     assert model.coefficients[:, 1].tolist() == pytest.approx([-(w**2), -2 * damping * w, w**2], rel=1e-5)
+
+
+PERIOD = 0.05
+
+
+def refined(xi, free, data, tolerance):
+    """What single steps tell, from a first model on."""
+    constraints = Constraints(free, torch.where(free, 0.0, xi))
+    return Refinement("one_step", rounds=0, tolerance=tolerance).run(
+        (LIBRARY, xi), constraints, RegressionData.of(data, {})
+    )
+
+
+def discrete(noise: float = 0.0, n: int = 400, seed: int = 0) -> Transitions:
+    """y' = A y + B u in discrete form y+ = phi y + gamma u + noise."""
+    generator = np.random.default_rng(seed)
+    phi = math.exp(A * PERIOD)
+    u, y = generator.uniform(-1, 1, n), [0.3]
+    for held, e in zip(u, noise * generator.normal(size=n)):
+        y.append(phi * y[-1] + B * (phi - 1) / A * held + e)
+    return Transitions.from_trajectory(
+        torch.tensor(y).double().unsqueeze(-1), torch.from_numpy(u).unsqueeze(-1), PERIOD
+    )
+
+
+ALL = torch.ones(4, 1, dtype=torch.bool)
+
+
+def test_the_part_of_the_changes_that_steps_miss_is_that_of_the_closed_form():
+    """y' = a y changes y by (exp(a dt) - 1) y over a step; the best a is that of the regression of all steps."""
+    x = torch.tensor([[0.3], [-1.0], [2.0]], dtype=torch.float64)
+    after = math.exp(A * PERIOD) * x + torch.tensor([[0.01], [0.0], [0.0]])
+    moved = Transitions(x, 0 * x, after, PERIOD, torch.zeros(3, dtype=torch.long))
+    phi = float((x * after).sum() / x.square().sum())
+    wanted = float((after - phi * x).norm() / (after - x).norm())
+    found = refined(column(A, 0.0, 0.0, 0.0), torch.tensor([[True], [False], [False], [False]]), moved, 1e-9)
+    assert found.missed == {"y": pytest.approx(wanted, rel=1e-6)}
+
+
+def test_from_a_poor_first_model_the_plant_is_found_to_nine_digits():
+    found = refined(column(-1.0, 2.0, 0.5, 0.2), ALL, discrete(), 1e-9).coefficients
+    assert found[2:].flatten().tolist() == [0.0, 0.0]
+    assert found[:2].flatten().tolist() == pytest.approx([A, B], rel=1e-8)
+
+
+def test_with_process_noise_it_is_the_least_squares_fit_of_the_discrete_form():
+    data = discrete(0.05)
+    rows = torch.cat([data.x, data.u], -1).numpy()
+    phi, gamma = np.linalg.lstsq(rows, data.x_next.numpy().ravel(), rcond=None)[0]
+    a = math.log(phi) / PERIOD
+    found = refined(column(A, B, 0.0, 0.0), torch.tensor([[True], [True], [False], [False]]), data, 1e-9).coefficients
+    assert found[:2].flatten().tolist() == pytest.approx([a, gamma * a / (phi - 1)], rel=1e-6)
+    assert abs(a - A) > 1e-3  # the noise does move the estimate
+
+
+def test_a_recording_is_fitted_block_by_block_as_it_is_at_once(monkeypatch):
+    data, xi = discrete(0.05), column(-1.0, 2.0, 0.0, 0.0)
+    whole = refined(xi, ALL, data, 1e-9)
+    monkeypatch.setattr(shooting, "MOST_SLOPES", 40)
+    monkeypatch.setattr(shooting, "CHUNK", 40)
+    found = refined(xi, ALL, data, 1e-9)
+    torch.testing.assert_close(found.coefficients, whole.coefficients, rtol=1e-9, atol=1e-12)
+    torch.testing.assert_close(found.covariance.factor, whole.covariance.factor, rtol=1e-6, atol=1e-9)
+
+
+def test_coefficients_that_are_not_free_stay():
+    free = torch.tensor([[True], [False], [False], [False]])
+    found = refined(column(-1.0, 2.5, 0.0, 0.0), free, discrete(), 1e-6).coefficients
+    assert found[1, 0] == 2.5 and found[2:].flatten().tolist() == [0.0, 0.0]
+
+    def errors(a):
+        phi, data = math.exp(a[0] * PERIOD), discrete()
+        return (phi * data.x + 2.5 * (phi - 1) / a[0] * data.u - data.x_next).numpy().ravel()
+
+    assert found[0, 0].item() == pytest.approx(least_squares(errors, [-1.0], xtol=1e-12, ftol=1e-12).x[0], rel=1e-5)
+
+
+def test_standard_errors_are_those_of_the_discrete_form_and_of_the_scatter():
+    """phi and gamma are a linear regression; a = log(phi) / dt and b = a gamma / (phi - 1) follow by their slopes."""
+    fits, stated, support = [], [], torch.tensor([[True], [True], [False], [False]])
+    for seed in range(40):
+        data = discrete(0.02, 400, seed)
+        found = refined(column(A, B, 0.0, 0.0), support, data, 1e-9)
+        known = found.covariance
+        assert (known.features.tolist(), known.states.tolist()) == ([0, 1], [0, 0])
+        fits.append(found.coefficients[:2, 0])
+        stated.append(known.errors)
+    rows = torch.cat([data.x, data.u], -1).numpy()
+    phi, gamma = math.exp(A * PERIOD), B * (math.exp(A * PERIOD) - 1) / A
+    slope = np.array([[1 / (phi * PERIOD), 0.0], [0.0, A / (phi - 1)]])
+    slope[1, 0] = gamma * (1 / (phi * PERIOD) / (phi - 1) - A / (phi - 1) ** 2)
+    closed = np.sqrt(np.diag(slope @ (0.02**2 * np.linalg.inv(rows.T @ rows)) @ slope.T))
+    told = torch.stack(stated).square().mean(0).sqrt()
+    np.testing.assert_allclose(told, closed, rtol=0.25)
+    np.testing.assert_allclose(told, torch.stack(fits).std(0), rtol=0.35)
