@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from plants import A, B, spring
 
 from dynasindy.agents import actor
 from dynasindy.control import Controller, Observer, load, save
@@ -341,11 +342,6 @@ def test_band_limit_and_rate_count_in_boxes_of_targets():
     torch.testing.assert_close(*states)
 
 
-A = torch.tensor([[0.0, 1.0, 0.0], [-4.0, -0.8, 2.0], [0.0, 0.0, -3.0]], dtype=torch.float64)
-B = torch.tensor([[0.0], [0.0], [3.0]], dtype=torch.float64)
-LINEAR = Signature(("p", "v", "m"), ("m", "m/s", "-"), ("u",), (1.0, 2.0, 0.5))
-
-
 def counteracted(system, x, u, push, shift):
     """One period's answer to a push on the rate of `p`, of an observer that relies on the system."""
     env = SimpleNamespace(dt=0.1, substeps=1, stops=None)
@@ -354,19 +350,11 @@ def counteracted(system, x, u, push, shift):
     return observer.correction(torch.cat([x, push], -1), u.unsqueeze(-2), [0], shift)
 
 
-class Linear(System):
-    def __init__(self):
-        super().__init__(LINEAR)
-
-    def forward(self, x, u):
-        return x @ A.to(x).T + u @ B.to(x).T
-
-
 def test_on_a_linear_plant_it_solves_the_steady_state_equations():
     push = torch.tensor([[0.3], [-1.0]], dtype=torch.float64)
     shift = torch.zeros(2, 4, dtype=torch.float64)
     for _ in range(5):
-        shift = counteracted(Linear(), torch.rand(2, 3).double(), torch.rand(2, 1).double(), push, shift)
+        shift = counteracted(spring(), torch.rand(2, 3).double(), torch.rand(2, 1).double(), push, shift)
     held = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
     both = torch.cat([torch.cat([A, B], 1), held])
     expected = torch.linalg.solve(both, torch.cat([0 * push, -push, torch.zeros(2, 2)], -1).T).T
@@ -399,8 +387,8 @@ def test_a_push_on_a_curved_plant_is_counteracted_by_newton_s_steps():
 
 
 def pushed(disturbance=True):
-    plant = Linear()
-    task = Tracking(LINEAR, Step([[0.0]]), ["p"], ["v"], TrackingReward([1.0]))
+    plant = spring()
+    task = Tracking(plant.signature, Step([[0.0]]), ["p"], ["v"], TrackingReward([1.0]))
     env = ControlEnv(plant, task, substeps=1, dtype=torch.float64)
     sensors = Sensors({"p": {"resolution": 1e-3}}, {"p": "v"}, disturbance=disturbance)
     sensing = Sensing(env, Observer(plant, sensors, env), torch.Generator().manual_seed(0))

@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from plants import A, B, Linear, spring
 
 from dynasindy.control import Observer
 from dynasindy.control.observer import CANDIDATES, Belief
@@ -12,21 +13,9 @@ from dynasindy.findings import FindingError
 from dynasindy.systems import Diverged, Signature, System, Tras, integrate
 
 DT = 0.05
-A = torch.tensor([[0.0, 1.0, 0.0], [-4.0, -0.8, 2.0], [0.0, 0.0, -3.0]], dtype=torch.float64)
-B = torch.tensor([[0.0], [0.0], [3.0]], dtype=torch.float64)
-SIGNATURE = Signature(("p", "v", "m"), ("m", "m/s", "-"), ("u",), (1.0, 2.0, 0.5))
-SCALE = torch.tensor(SIGNATURE.x_scale, dtype=torch.float64)
+SCALE = torch.tensor(spring().signature.x_scale, dtype=torch.float64)
 
-TASK = Tracking(SIGNATURE, Step([[0.0]]), ["p"], ["v"], TrackingReward([1.0]))
-
-
-class Linear(System):
-    def __init__(self, delay=0.0):
-        super().__init__(SIGNATURE)
-        self.delay = delay
-
-    def forward(self, x, u):
-        return x @ A.to(x).T + u @ B.to(x).T
+TASK = Tracking(spring().signature, Step([[0.0]]), ["p"], ["v"], TrackingReward([1.0]))
 
 
 def held(seconds, a=A, b=B):
@@ -41,7 +30,9 @@ def held(seconds, a=A, b=B):
 def observer(q=1e-2, delay=0.0, substeps=10, **sensors):
     channels = {"p": {"noise": 0.02}, "m": {"noise": 0.01, "resolution": 0.01}}
     sensors = Sensors(**({"channels": channels} | sensors))
-    made = Observer(Linear(delay), sensors, ControlEnv(Linear(), TASK, DT, substeps))
+    model = spring()
+    model.delay = delay
+    made = Observer(model, sensors, ControlEnv(spring(), TASK, DT, substeps))
     made.q, made.nis = torch.full((3,), q, dtype=torch.float64), 1.0
     return made
 
@@ -212,7 +203,7 @@ def test_a_perfect_model_is_doubted_a_little():
 def test_before_there_is_a_model_rates_are_those_of_the_latest_angles():
     ours = observer(channels={"p": {"resolution": 0.001}, "m": {}}, rates={"p": "v"})
     ours.nis = None
-    fresh = Observer(ours.model, ours.sensors, ControlEnv(Linear(), TASK, DT))
+    fresh = Observer(ours.model, ours.sensors, ControlEnv(spring(), TASK, DT))
     t = torch.arange(60, dtype=torch.float64) * DT
     angle, speed = 0.3 * torch.sin(3 * t), 0.9 * torch.cos(3 * t)
     y = torch.stack([(angle / 0.001).round() * 0.001, torch.full_like(t, math.nan), t], -1)
@@ -322,12 +313,9 @@ def test_a_model_in_discrete_time_is_filtered_as_in_the_textbook():
     class Sampled(Linear):
         step = DT
 
-        def forward(self, x, u):
-            f, g = held(DT)
-            return (x @ (f - torch.eye(3, dtype=torch.float64)).to(x).T + u @ g.to(x).T) / DT
-
+    f, g = held(DT)
     ours, (y, u, _) = observer(), logged(60, lost=0.2)
-    ours.model = Sampled()
+    ours.model = Sampled((f - torch.eye(3)) / DT, g / DT, spring().signature.x_scale, "pvm")
     first = ours.begin(y[0])
     theirs = textbook(y, u, 1e-2, (first.mean, first.covariance))[0]
     torch.testing.assert_close(ours.follow(y, u)[0][1:], theirs, rtol=0, atol=1e-7)

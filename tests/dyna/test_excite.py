@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from plants import Upright
 from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 
@@ -35,19 +36,6 @@ from dynasindy.systems.transitions import Transitions
 BOUNDS = {"theta": 0.5, "p": 2.0}
 
 
-class Inverted(System):
-    """A pendulum measured from the top under a constant pull to one side: a = 5 sin(theta) + 8 u + 1."""
-
-    pull = 1.0
-
-    def __init__(self):
-        super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.0, 3.0)))
-
-    def forward(self, x, u):
-        theta, rate = x.unbind(-1)
-        return torch.stack((rate, 5.0 * torch.sin(theta) + 8.0 * u[..., 0] + self.pull), -1)
-
-
 def parts(plant, n_r=1, duration=10.0, sensing=None, careful=None, **settings):
     names = plant.signature.state_names
     task = Tracking(
@@ -73,7 +61,7 @@ def test_a_plant_within_its_limits_is_excited_open_loop_as_ever():
 
 
 def test_a_plant_that_falls_is_caught_after_its_first_fall():
-    experiment = parts(Inverted(), bounds={"theta": 0.5})
+    experiment = parts(Upright(5.0, 8.0, 1.0), bounds={"theta": 0.5})
     excited = excite(experiment)
     assert len(excited) == 200
     begins = [*(excited["step_count"].flatten() == 0).nonzero().flatten().tolist(), 200]
@@ -143,7 +131,7 @@ def test_behind_sensors_a_pole_that_falls_is_held_after_a_few_tries(spring):
 
 
 def test_the_loop_is_the_regulator_of_the_plant_near_its_start():
-    experiment, torque = parts(Inverted()), 8.0
+    experiment, torque = parts(Upright(5.0, 8.0, 1.0)), 8.0
     pilot, generator = RegulatedExcitation(experiment.excitation), torch.Generator().manual_seed(0)
 
     def shaken(tensordict):
@@ -162,7 +150,7 @@ def test_the_loop_is_the_regulator_of_the_plant_near_its_start():
     assert pilot.gain[0, 1] > 0  # and damped
 
 
-class Bursting(Inverted):
+class Bursting(Upright):
     """The same pendulum, no number any more where it leaves its limits, all within one period."""
 
     def forward(self, x, u):
@@ -171,7 +159,7 @@ class Bursting(Inverted):
 
 
 def test_a_plant_that_blows_up_within_one_period_is_caught_too():
-    excited = excite(parts(Bursting(), bounds={"theta": 0.9}))
+    excited = excite(parts(Bursting(5.0, 8.0, 1.0), bounds={"theta": 0.9}))
     assert len(excited) == 200 and excited["next", "state"].isfinite().all()
     begins = [*(excited["step_count"].flatten() == 0).nonzero().flatten().tolist(), 200]
     lengths = [b - a for a, b in zip(begins, begins[1:], strict=False)]
@@ -247,25 +235,14 @@ def test_episodes_longer_than_an_environment_is_registered_with_are_said(steps, 
 ENDS = torch.tensor([-0.5, -torch.inf]), torch.tensor([0.5, torch.inf])
 
 
-class Falling(System):
-    """A pendulum measured from the top under a constant pull to one side: a = 40 sin(theta) - Omega + 60 u + 3."""
-
-    def __init__(self):
-        super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (0.5, 3.0)))
-
-    def forward(self, x, u):
-        theta, rate = x.unbind(-1)
-        return torch.stack((rate, 40.0 * torch.sin(theta) - rate + 60.0 * u[..., 0] + 3.0), -1)
-
-
 def falling_parts(measured):
-    plant = Falling()
+    plant = Upright(40.0, 60.0, 3.0, 1.0, (0.5, 3.0))
     task = Tracking(plant.signature, RandomStep([-0.2], [0.2]), ["theta"], [], TrackingReward((1.0,)))
     env = ControlEnv(plant, task, dtype=torch.float64)
     made = SimpleNamespace(plant=env, env=env, sensing=None)
     if measured:
         sensors = Sensors({"theta": {"resolution": 1.5e-3}}, rates={"theta": "Omega"})
-        made.sensing = Sensing(env, Observer(Falling(), sensors, env), torch.Generator().manual_seed(0))
+        made.sensing = Sensing(env, Observer(plant, sensors, env), torch.Generator().manual_seed(0))
         made.env = TransformedEnv(env, made.sensing.on(env, made.sensing.rng))
     return made
 

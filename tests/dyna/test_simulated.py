@@ -4,6 +4,7 @@ from functools import partial
 
 import pytest
 import torch
+from plants import Upright
 
 from dynasindy.dyna import simulated
 from dynasindy.envs import Aprbs, Chirp, Sensors
@@ -22,17 +23,6 @@ class Lag(System):
 
     def forward(self, x, u):
         return (torch.cat([u, x[..., :1]], -1) - x) / 100.0
-
-
-class Inverted(System):
-    """A pendulum measured from the top under a constant pull to one side: a = 5 theta + 8 u + 0.2."""
-
-    def __init__(self):
-        super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.0, 3.0)))
-
-    def forward(self, x, u):
-        theta, rate = x.unbind(-1)
-        return torch.stack((rate, 5.0 * theta + 8.0 * u[..., 0] + 0.2), -1)
 
 
 def test_a_recording_follows_the_control_period_of_its_plant():
@@ -72,8 +62,8 @@ def test_sensors_of_the_bench_measure_what_they_do_as_finely_as_they_do():
 def test_a_plant_that_falls_is_held_within_its_bounds_and_found_without_bias():
     careful = partial(CHIRP, first=0.1)
     noise, bounds = {"theta": 1e-3, "Omega": 1e-2}, {"theta": 0.5}
-    source = Simulated(bounds=bounds, noise=noise, validation_seconds=1.0).load(Inverted(), careful)
-    exact = Simulated(bounds=bounds, validation_seconds=8.0).load(Inverted(), careful)
+    source = Simulated(bounds=bounds, noise=noise, validation_seconds=1.0).load(Upright(5.0, 8.0, 0.2), careful)
+    exact = Simulated(bounds=bounds, validation_seconds=8.0).load(Upright(5.0, 8.0, 0.2), careful)
     for data in (exact.training, exact.validation):
         assert float(data.x[::5, 0].abs().max()) <= 0.5  # no period, of five samples, begins beyond
         lengths = data.segment.unique(return_counts=True)[1]
@@ -81,7 +71,7 @@ def test_a_plant_that_falls_is_held_within_its_bounds_and_found_without_bias():
     assert len(exact.training) == 1000 and len(exact.validation) == 800
     assert exact.validation.segment.unique().numel() == 1  # the regulator of the training holds it from the start
     assert [each.code for each in exact.findings] == ["excitation.restarts"]
-    library = ["1", "theta", "Omega", "u"]
+    library = ["1", "sin(theta)", "Omega", "u"]
     model = SindyModel(source.signature, library, Regression("bic"), Refinement("trajectory"), known={"theta": "Omega"})
     model.fit(source.training)
     expected = torch.tensor([0.2, 5.0, 0.0, 8.0], dtype=torch.float64)
@@ -89,16 +79,16 @@ def test_a_plant_that_falls_is_held_within_its_bounds_and_found_without_bias():
 
 
 def test_a_plant_that_falls_though_it_is_said_to_stay_is_held_too():
-    source = Simulated(bounds={"theta": 0.5}, validation_seconds=1.0).load(Inverted(), CHIRP)
+    source = Simulated(bounds={"theta": 0.5}, validation_seconds=1.0).load(Upright(5.0, 8.0, 0.2), CHIRP)
     assert len(source.training) == 1000 and [each.code for each in source.findings] == ["excitation.restarts"]
     assert float(source.training.x[::5, 0].abs().max()) <= 0.5
 
 
 def test_bounds_that_exclude_the_start_are_refused_and_a_far_start_is_no_running_away():
     with pytest.raises(ValueError, match=r"^data\.start has theta .*data\.bounds"):
-        Simulated(bounds={"theta": [0.5, 1.0]}).load(Inverted(), CHIRP)
+        Simulated(bounds={"theta": [0.5, 1.0]}).load(Upright(5.0, 8.0, 0.2), CHIRP)
     with pytest.raises(ValueError, match="Omega"):
-        Simulated(bounds={"Omega": 1.0}, start={"Omega": [0.0, 2.0]}).load(Inverted(), CHIRP)
+        Simulated(bounds={"Omega": 1.0}, start={"Omega": [0.0, 2.0]}).load(Upright(5.0, 8.0, 0.2), CHIRP)
 
     class Warm(System):
         def forward(self, x, u):

@@ -1,14 +1,13 @@
 """What several tests of planning are about: the twin rotor `xi` with a small agent, and a pole to be held upright."""
 
 import pytest
-import torch
 from alternating import Mapped
+from plants import Upright
 
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.plan_settings import find_task_equilibria
-from dynasindy.systems import Signature, System
 from dynasindy.systems.xi import Xi
 
 
@@ -16,18 +15,6 @@ from dynasindy.systems.xi import Xi
 def small():
     """Settings of a planning that takes no time."""
     return {"rollouts": 16, "window": 20, "check_every": 4}
-
-
-class Inverted(System):
-    """A pendulum measured from the top, a = 4 sin(theta) + pull u."""
-
-    def __init__(self, pull):
-        super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.0, 3.0)))
-        self.pull = pull
-
-    def forward(self, x, u):
-        theta, rate = x.unbind(-1)
-        return torch.stack((rate, 4.0 * torch.sin(theta) + self.pull * u[..., 0]), -1)
 
 
 @pytest.fixture(scope="session")
@@ -71,7 +58,7 @@ def inverted():
     """Make an environment of the pole, with targets to both sides of upright, and its rests."""
 
     def make(pull=6.0, start=None, box=0.4, max_steps=60):
-        plant, ends = Inverted(pull), {"low": [-box], "high": [box]}
+        plant, ends = Upright(4.0, pull), {"low": [-box], "high": [box]}
         reward = TrackingReward((4.0,), error_shape="linear")
         outputs = ("theta",), ("Omega",)
         task = Tracking(plant.signature, RandomStep(**ends), *outputs, reward, max_steps, **ends, start=start)

@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from plants import Linear
 from scipy.linalg import solve_discrete_are
 
 from dynasindy.control.period import _settles
@@ -12,16 +13,9 @@ from dynasindy.planning.plan_settings import SUBSTEPS, PlanSettings, choose_plan
 from dynasindy.systems import Signature, System, Tras, Xi
 
 
-class Linear(System):
+def spring(stiffness, damping, pull):
     """x' = v, v' = stiffness x - damping v + pull u."""
-
-    def __init__(self, stiffness, damping, pull):
-        super().__init__(Signature(("x", "v"), ("m", "m/s"), ("u",), (1.0, 1.0)))
-        self.stiffness, self.damping, self.pull = stiffness, damping, pull
-
-    def forward(self, x, u):
-        p, v = x.unbind(-1)
-        return torch.stack((v, self.stiffness * p - self.damping * v + self.pull * u[..., 0]), -1)
+    return Linear([[0.0, 1.0], [stiffness, -damping]], [[0.0], [pull]], names="xv")
 
 
 def pace(plant, dt=0.05, low=(-0.5,), high=(0.5,), outputs=("x",), rates=("v",)):
@@ -40,7 +34,7 @@ def test_the_twin_rotor_keeps_the_settings_that_it_was_measured_with(plant):
 
 
 def test_a_plant_that_runs_away_is_held_and_trained_in_smaller_steps():
-    calm, wild = pace(Linear(-1.0, 1.0, 4.0)), pace(Linear(4.0, 0.0, 4.0))
+    calm, wild = pace(spring(-1.0, 1.0, 4.0)), pace(spring(4.0, 0.0, 4.0))
     assert wild.warm_start and not calm.warm_start
     # p'' = 4 p: exp(2 t) doubles every ln(2) / 2 s.
     assert "unstable" in wild.why and "0.35 s" in wild.why
@@ -51,21 +45,21 @@ def test_a_plant_that_runs_away_is_held_and_trained_in_smaller_steps():
 
 def test_a_double_integrator_runs_away_although_no_mode_grows():
     # After 20 s a deviation of the rate has made one of 20 of the position: below the bound; after 80 s above it.
-    slow = pace(Linear(0.0, 0.0, 4.0), dt=0.05)
+    slow = pace(spring(0.0, 0.0, 4.0), dt=0.05)
     assert not slow.warm_start and "20 times" in slow.why
-    assert pace(Linear(0.0, 0.0, 1.0), dt=0.2).warm_start
+    assert pace(spring(0.0, 0.0, 1.0), dt=0.2).warm_start
 
 
 @pytest.mark.parametrize(("rate", "steps"), [(15.0, 1), (45.0, 3), (1e6, SUBSTEPS)])
 def test_a_fast_mode_takes_smaller_steps(rate, steps):
     # A damping of d leaves modes near -d and -1/d: at 0.05 s a step of 1 / d takes d / 20 steps.
-    assert pace(Linear(-1.0, rate, 4.0)).substeps == steps
+    assert pace(spring(-1.0, rate, 4.0)).substeps == steps
 
 
 @pytest.mark.parametrize(("limits", "little"), [((-0.5, 0.5), False), ((0.2, 0.6), True)])
 def test_the_policy_of_a_plant_whose_input_may_do_little_begins_as_a_regulator(limits, little):
     """Half of the range of the input, and a fifth of it: a stop of the log, within which its plant is known."""
-    plant = Linear(-1.0, 1.0, 4.0)
+    plant = spring(-1.0, 1.0, 4.0)
     given = {"low": (0.9,), "high": (2.0,)}
     task = Tracking(plant.signature, RandomStep(*given.values()), ("x",), ("v",), TrackingReward((4.0,)), **given)
     env = ControlEnv(plant, task.with_input_limits([limits[:1], limits[1:]]), 0.05, 1)
@@ -74,14 +68,14 @@ def test_the_policy_of_a_plant_whose_input_may_do_little_begins_as_a_regulator(l
 
 
 def test_a_plant_without_a_rest_keeps_the_defaults():
-    found = pace(Linear(-100.0, 1.0, 1.0), low=(0.5,))
+    found = pace(spring(-100.0, 1.0, 1.0), low=(0.5,))
     assert found == PlanSettings(why=found.why)
     # 0.5 m against a stiffness of 100 takes 50 of what pulls with 1.
     assert "64 of 64" in found.why and "x = 0.5" in found.why and "u = 50" in found.why
 
 
 def test_without_references_a_model_takes_the_steps_of_the_plant(settle):
-    plant = Linear(4.0, 0.0, 1.0)  # which runs away: with targets it would be held
+    plant = spring(4.0, 0.0, 1.0)  # which runs away: with targets it would be held
     env = ControlEnv(plant, settle(plant.signature))
     assert find_task_equilibria(env) is None
     found = choose_plan_settings(env, None, 5)

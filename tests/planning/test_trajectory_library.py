@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from plants import Upright
 from scipy.integrate import solve_ivp
 
 from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward
@@ -29,20 +30,8 @@ from dynasindy.planning.trajectory_library import (
 from dynasindy.systems import Signature, System
 
 
-class Pole(System):
-    """A pole measured from the top, theta'' = 15 sin(theta) + pull u; less than 15 cannot lift it in one go."""
-
-    def __init__(self, pull):
-        super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (math.pi, 8.0)))
-        self.pull = pull
-
-    def forward(self, x, u):
-        theta, rate = x.unbind(-1)
-        return torch.stack((rate, 15.0 * torch.sin(theta) + self.pull * u[..., 0]), -1)
-
-
 def setting(pull=6.0, start=math.pi):
-    plant = Pole(pull)
+    plant = Upright(15.0, pull, scale=(math.pi, 8.0))
     reward = TrackingReward((4.0,), error_shape="linear", bonus=0.0, width=0.02)
     start = {"theta": [start - 0.05, start + 0.05]}
     task = Tracking(plant.signature, RandomStep([0.0], [0.0]), ("theta",), ("Omega",), reward, 120, start=start)

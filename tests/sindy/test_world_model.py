@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import torch
 from alternating import Alternating
+from plants import Linear
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
-from dynasindy.systems import Signature, System, Tras, integrate
+from dynasindy.systems import Signature, Tras, integrate
 from dynasindy.systems.transitions import Transitions
 
 
@@ -34,23 +35,12 @@ def test_of_a_difference_equation_it_moves_by_its_steps():
     assert found.flatten().tolist() == pytest.approx([0.56, -0.72])
 
 
-MATRIX = np.array([[0.0, 1.0], [-4.0, -0.4]])
-
-
-class Linear(System):
-    """x' = A x + (0, 3) u."""
-
-    def __init__(self, matrix):
-        super().__init__(Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0)))
-        self.matrix = torch.from_numpy(matrix)
-
-    def forward(self, x, u):
-        return x @ self.matrix.to(x).mT + torch.cat([torch.zeros_like(u), 3 * u], -1)
+MATRIX, PULL = np.array([[0.0, 1.0], [-4.0, -0.4]]), np.array([[0.0], [3.0]])
 
 
 def recording(dt: float = 0.1, seed: int = 0, n: int = 40) -> Transitions:
     """Two segments of the exact motion under held inputs."""
-    step = expm(dt * np.block([[MATRIX, np.array([[0.0], [3.0]])], [np.zeros((1, 3))]]))
+    step = expm(dt * np.block([[MATRIX, PULL], [np.zeros((1, 3))]]))
     generator, parts = np.random.default_rng(seed), []
     for _ in range(2):
         u, states = generator.uniform(-1, 1, (n, 1)), [generator.normal(size=2)]
@@ -62,7 +52,7 @@ def recording(dt: float = 0.1, seed: int = 0, n: int = 40) -> Transitions:
 
 def test_the_true_model_errs_by_its_integration_only_and_that_by_fourth_order():
     data = recording()
-    model = Linear(MATRIX)
+    model = Linear(MATRIX, PULL)
     coarse, fine = one_step_error(model, data), one_step_error(model, data, substeps=2)
     assert float(coarse.max()) < 1e-4
     assert bool(((coarse / fine > 12) & (coarse / fine < 20)).all())
@@ -71,20 +61,20 @@ def test_the_true_model_errs_by_its_integration_only_and_that_by_fourth_order():
 
 def test_the_error_of_a_wrong_model_is_that_of_its_matrix_exponential():
     data, wrong = recording(), MATRIX + np.array([[0.0, 0.0], [0.5, 0.1]])
-    step = expm(0.1 * np.block([[wrong, np.array([[0.0], [3.0]])], [np.zeros((1, 3))]]))
+    step = expm(0.1 * np.block([[wrong, PULL], [np.zeros((1, 3))]]))
     predicted = data.x.numpy() @ step[:2, :2].T + data.u.numpy() @ step[:2, 2:].T
     expected = np.sqrt(np.mean((predicted - data.x_next.numpy()) ** 2, 0)) / np.std(data.x_next.numpy(), 0, ddof=1)
-    assert np.allclose(one_step_error(Linear(wrong), data, substeps=10), expected, rtol=1e-6)
+    assert np.allclose(one_step_error(Linear(wrong, PULL), data, substeps=10), expected, rtol=1e-6)
 
 
 def test_open_loop_starts_anew_with_each_segment_and_reads_inputs_only():
     data, wrong = recording(), MATRIX + np.array([[0.0, 0.0], [0.5, 0.1]])
-    step = expm(0.1 * np.block([[wrong, np.array([[0.0], [3.0]])], [np.zeros((1, 3))]]))
+    step = expm(0.1 * np.block([[wrong, PULL], [np.zeros((1, 3))]]))
     expected = []
     for k in range(80):
         x = data.x[k].numpy() if k in (0, 40) else expected[-1]
         expected.append(step[:2, :2] @ x + step[:2, 2:] @ data.u[k].numpy())
-    assert np.allclose(open_loop(Linear(wrong), data, substeps=10), expected, atol=1e-7)
+    assert np.allclose(open_loop(Linear(wrong, PULL), data, substeps=10), expected, atol=1e-7)
 
 
 def swing() -> SindyModel:

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from plants import Linear
 from scipy.linalg import expm
 
 from dynasindy.systems import Pendulum, Signature, System, Tras, Xi
@@ -93,18 +94,6 @@ def test_growth_is_that_of_the_largest_deviation_in_ranges():
     wanted = torch.linalg.matrix_norm(torch.as_tensor(expm([[0.0, 30.0], [0.0, 0.0]])), 2)  # in ranges: 10 * 3 s
     assert growth(double, scale, 3.0) == pytest.approx(float(wanted))
     assert growth(torch.tensor([[1000.0]]).double(), torch.ones(1), 10.0) == math.inf  # e^10000 is no double
-
-
-class Linear(System):
-    """dx/dt = A x + B u, states in ranges of their own."""
-
-    def __init__(self, a, b, scale=None):
-        n = len(a)
-        super().__init__(Signature(tuple("pvqwabcd"[:n]), ("-",) * n, ("u", "z")[: len(b[0])], scale or (1.0,) * n))
-        self.a, self.b = (torch.tensor(given, dtype=torch.float64) for given in (a, b))
-
-    def forward(self, x, u):
-        return x @ self.a.mT + u @ self.b.mT
 
 
 def spring(hertz, damping):

@@ -1,0 +1,41 @@
+"""Plants whose motion is that of a matrix, and one that falls from upright."""
+
+import torch
+
+from dynasindy.systems.base import Signature, System
+
+
+class Linear(System):
+    """dx/dt = A x + B u."""
+
+    def __init__(self, a, b, scale=None, names="pvqwabcd"):
+        a, b = (torch.as_tensor(given, dtype=torch.float64) for given in (a, b))
+        n = len(a)
+        super().__init__(Signature(tuple(names[:n]), ("-",) * n, ("u", "z")[: b.shape[1]], scale or (1.0,) * n))
+        self.a, self.b = a, b
+
+    def forward(self, x, u):
+        return x @ self.a.to(x).mT + u @ self.b.to(x).mT
+
+
+A = torch.tensor([[0.0, 1.0, 0.0], [-4.0, -0.8, 2.0], [0.0, 0.0, -3.0]], dtype=torch.float64)
+B = torch.tensor([[0.0], [0.0], [3.0]], dtype=torch.float64)
+"""A mass `p` on a spring, pushed by a motor `m` that lags."""
+
+
+def spring():
+    """Return the mass on its spring."""
+    return Linear(A, B, (1.0, 2.0, 0.5), "pvm")
+
+
+class Upright(System):
+    """A pendulum measured from the top, a = growth sin(theta) - damping Omega + pull u + push."""
+
+    def __init__(self, growth, pull, push=0.0, damping=0.0, scale=(1.0, 3.0)):
+        super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), scale))
+        self.growth, self.pull, self.push, self.damping = growth, pull, push, damping
+
+    def forward(self, x, u):
+        theta, rate = x.unbind(-1)
+        turning = self.growth * torch.sin(theta) - self.damping * rate + self.pull * u[..., 0] + self.push
+        return torch.stack((rate, turning), -1)
