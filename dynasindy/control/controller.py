@@ -533,13 +533,13 @@ def load(path: str | Path) -> Controller:
             list(given["rates"]),
             TrackingReward(error_weights=(1.0,)),
             observe_rate=bool(given["observe_rate"]),
-            error_scale=_positive(given["error_scale"]),
+            error_scale=_number(given["error_scale"], 0.0),
             low=least or None,
             high=most or None,
         )
         limits = given.get("input_limits", task.input_limits.tolist())
         task = task.with_input_limits([[_number(end) for end in row] for row in limits])
-        task = task.with_box([_positive(extent) for extent in given["box"]])
+        task = task.with_box([_number(extent, 0.0) for extent in given["box"]])
         stops = None
         if (found := given["stops"]) is not None:
             low, high = (
@@ -548,7 +548,7 @@ def load(path: str | Path) -> Controller:
             )
             stops = Stops(tuple(found["positions"]), tuple(found["rates"]), low, high)
             stops.rows(signature.n_x)  # refuses states that do not exist
-        setup = ControlSetup(task, _positive(given["dt"]), substeps, stops)
+        setup = ControlSetup(task, _number(given["dt"], 0.0), substeps, stops)
         policy = TensorDictModule(_network(record["policy"], task), in_keys=["observation"], out_keys=["action"])
         observer, known = None, record["observer"]
         if known is not None:
@@ -561,7 +561,7 @@ def load(path: str | Path) -> Controller:
             observer = Observer(model, Sensors(**own), setup)
             observer.load_state_dict(known["state"])
         integral = record["integral"]
-        numbers = None if integral is None else {name: _positive(value) for name, value in integral.items()}
+        numbers = None if integral is None else {name: _number(value, 0.0) for name, value in integral.items()}
         return Controller(policy, setup, observer, numbers)
 
 
@@ -603,7 +603,3 @@ def _number(value: object, low: float = -math.inf) -> float:
         what = "a positive" if low == 0 else "a finite"
         raise ValueError(f"{str(value)[:40]!r} stands where {what} number belongs")
     return float(value)
-
-
-def _positive(value: object) -> float:
-    return _number(value, 0.0)

@@ -32,7 +32,7 @@ from dynasindy.evaluation.metrics import steady_seconds
 from dynasindy.planning.margins import MOVEMENT
 from dynasindy.progress import track
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Signature, integrate, steps_needed
+from dynasindy.systems import integrate, steps_needed
 from dynasindy.systems.integrators import MOST_DOUBLINGS
 from dynasindy.systems.steps import Rates, split_delay
 
@@ -145,6 +145,8 @@ class ClosedLoop:
         step: Longest Runge-Kutta step of the model [s]; as long as its movements allow if omitted.
 
     Attributes:
+        signature: Names, units and ranges of states and inputs.
+        dt: Control period [s].
         parts: Where each part of z stands.
         scale: Range of each number of z, `(n,)`; of an output that of its targets.
         pending: How many inputs of earlier periods still have to act.
@@ -157,6 +159,7 @@ class ClosedLoop:
         if not model.signature.alike(controller.signature):
             raise ValueError("the model has other states, units or inputs than the controller; give that of its run")
         self.controller, self.model, self.task = controller, model, controller.setup.task
+        self.signature, self.dt = controller.signature, controller.dt
         if self.task.ends is None:  # nothing says how far its targets go
             self.task = self.task.with_box([controller.signature.x_scale[i] for i in self.task.outputs])
         self.stops, self.observer = controller.setup.stops, controller.observer
@@ -181,16 +184,6 @@ class ClosedLoop:
         ends = list(accumulate(map(len, scales.values()), initial=0))
         self.parts = {name: slice(*ends[k : k + 2]) for k, name in enumerate(scales)}
         self.size, self.scale = ends[-1], torch.cat([*scales.values()])
-
-    @property
-    def signature(self) -> Signature:
-        """Names, units and ranges of states and inputs."""
-        return self.controller.signature
-
-    @property
-    def dt(self) -> float:
-        """Control period [s]."""
-        return self.controller.dt
 
     def varied(self, coefficients: Tensor) -> ClosedLoop:
         """Return the same controller around other plants; nobody tells it, and its observer believes in the model.

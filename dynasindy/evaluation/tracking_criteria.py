@@ -166,8 +166,6 @@ def _number(share: float | None) -> float:
 def _rates(evaluation: Evaluation) -> list[tuple[int, int]]:
     """Return the states whose change is another state, and that state, as the trajectory shows."""
     x = evaluation.trajectory["state"].double()
-    if x.shape[1] < 2:
-        return []
     change, mean = x.diff(dim=1), 0.5 * (x[:, 1:] + x[:, :-1])
     step, found = float(evaluation.time[1] - evaluation.time[0]), []
     for i in range(x.shape[-1]):

@@ -41,10 +41,9 @@ def best_length(column: Array) -> int:
             break
         own = _cubic(length, 0)[length // 2, length // 2]  # weight of a sample in its own smoothed value
         errors[length] = float(np.mean([np.square((c - _filtered(c, length, 0)) / (1 - own)).mean() for c in parts]))
-    if not errors:
-        return LENGTHS[0]
-    least = min(errors.values())
-    return max(length for length, error in errors.items() if error <= AS_GOOD * least + 1e-300)
+    least = min(errors.values(), default=0.0)
+    good = (length for length, error in errors.items() if error <= AS_GOOD * least + 1e-300)
+    return max(good, default=LENGTHS[0])
 
 
 def local_cubic(column: Array, length: int, dt: float, derivative: int) -> Array:
