@@ -6,18 +6,19 @@ from functools import partial
 
 import pytest
 import torch
+from recipes import make_recipe
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torchrl.envs import Transform, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
-from dynasindy.agents import MEASURED_KEYS, TD3, DynaReplay
+from dynasindy.agents import MEASURED_KEYS
 from dynasindy.control import Observer
 from dynasindy.control.sensing import Sensing
 from dynasindy.dyna.callback import Callback, Place
-from dynasindy.dyna.experiment import LoopSettings, Recipe
+from dynasindy.dyna.experiment import LoopSettings
 from dynasindy.dyna.loop import train
-from dynasindy.envs import Chirp, ControlEnv, Multisine, RandomStep, Sensors, Step, Tracking, Wave
+from dynasindy.envs import Chirp, ControlEnv, Multisine, Sensors, Step, Tracking, Wave
 from dynasindy.evaluation.disturbances import PerturbedPlant, SensorNoise
 from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.planning import Gate, ImaginedReplay
@@ -200,14 +201,12 @@ class Heard(Callback):
 
 def recipe(seed=0, sensors=None):
     plant = Tras()
-    return Recipe(
-        system=plant,
-        task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=30),
+    return make_recipe(
+        plant,
+        30,
         env=partial(ControlEnv, substeps=1, dtype=torch.float64),
         excitation=partial(Multisine, duration=1.5),
         world_model=partial(Learner, system=Tras()),
-        agent=partial(TD3, hidden=(8,)),
-        replay=partial(DynaReplay, 1000, 16),
         planning=partial(ImaginedReplay, rollouts=4, horizon=5),
         gate=Gate(math.inf, math.inf),
         train=LoopSettings(2, 0.2),

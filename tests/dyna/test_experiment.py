@@ -7,32 +7,22 @@ from functools import partial
 
 import pytest
 import torch
+from recipes import make_recipe
 
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna import experiment
 from dynasindy.dyna.callback import Callback, Place
-from dynasindy.dyna.experiment import LoopSettings, Recipe
+from dynasindy.dyna.experiment import LoopSettings
 from dynasindy.dyna.loop import train
 from dynasindy.envs import Chirp, ControlEnv, Multisine, RandomStep, Tracking, TrackingReward
 from dynasindy.planning import Gate, ImaginedReplay, NoPlanning
-from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
+from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Pendulum, Tras
 
 
 def recipe(seed=0):
-    return Recipe(
-        system=Tras(azimuth_stop=2.0),
-        task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4])),
-        env=partial(ControlEnv, dtype=torch.float64),
-        excitation=Chirp,
-        world_model=partial(Oracle, system=Tras(azimuth_stop=2.0)),
-        agent=partial(TD3, hidden=(8,)),
-        replay=partial(DynaReplay, 1000, 16),
-        planning=NoPlanning,
-        gate=Gate(),
-        train=LoopSettings(1),
-        seed=seed,
-    )
+    env = partial(ControlEnv, dtype=torch.float64)
+    return make_recipe(Tras(azimuth_stop=2.0), 200, env=env, excitation=Chirp, seed=seed)
 
 
 def test_imagined_and_real_environment_share_task_and_stops():
@@ -92,8 +82,8 @@ WORDS = ["1", "u", "theta", "Omega", "sin(theta)"]
 
 def pendulum(periods, sensors=None):
     """Return a recipe of a pendulum all of whose states are seen, and whose input is late without a word."""
-    return Recipe(
-        system=Pendulum(),
+    return make_recipe(
+        Pendulum(),
         task=partial(
             Tracking,
             reference=RandomStep([-0.5], [0.5]),
@@ -111,8 +101,6 @@ def pendulum(periods, sensors=None):
             refinement=Refinement("integral", longest_delay=None),
             known={"theta": "Omega"},
         ),
-        agent=partial(TD3, hidden=(8,)),
-        replay=partial(DynaReplay, 1000, 16),
         planning=partial(ImaginedReplay, rollouts=4, horizon=5),
         gate=Gate(math.inf, math.inf),
         train=LoopSettings(2, 0.2),

@@ -1,16 +1,17 @@
 """The order of Algorithm 1, recorded with fakes, and the whole loop on the true plant."""
 
 import json
+from functools import partial
 
 import torch
+from recipes import make_recipe
 from torchrl.envs.utils import exploration_type
 
-from dynasindy.agents import TD3, DynaReplay
+from dynasindy.agents import TD3
 from dynasindy.dyna.callback import Callback, Place
-from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings, train
 from dynasindy.dyna.refit import Refit
-from dynasindy.envs import Chirp, ControlEnv, RandomStep, Tracking
+from dynasindy.envs import Chirp
 from dynasindy.planning import Gate, ImaginedReplay, NoPlanning, Planned, Planner
 from dynasindy.sindy import Oracle
 from dynasindy.systems import Tras, Xi
@@ -44,14 +45,12 @@ def recipe(planning, gate=None, seed=0, model=None, **settings):
             log.append("update")
             return super().update(batch)
 
-    return log, Recipe(
-        system=plant,
-        task=lambda signature: Tracking(signature, RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=6),
-        env=ControlEnv,
-        excitation=lambda n_u, dt: Chirp(n_u, duration=0.25, dt=dt),
+    return log, make_recipe(
+        plant,
+        steps=6,
+        excitation=partial(Chirp, duration=0.25),
         world_model=lambda signature: Model(signature, model or plant),
-        agent=lambda n_obs, n_u, seed: Agent(n_obs, n_u, seed, hidden=(8,)),
-        replay=lambda seed: DynaReplay(1000, 16, seed=seed),
+        agent=partial(Agent, hidden=(8,)),
         planning=lambda **parts: planning(log=log, **parts),
         gate=gate or Gate(),
         train=LoopSettings(**({"episodes": 2, "updates_per_step": 0.5} | settings)),

@@ -4,23 +4,21 @@ import csv
 import json
 import math
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 
 import pytest
 import torch
+from recipes import make_recipe
 
-from dynasindy.agents import TD3, DynaReplay
 from dynasindy.control import load
 from dynasindy.dyna.callback import Episode, Place
-from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings, train
 from dynasindy.dyna.recorder import Evaluating, Recorder, judge_run
 from dynasindy.dyna.refit import Refit
-from dynasindy.envs import Chirp, ControlEnv, RandomStep, Step, Tracking
+from dynasindy.envs import Step
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.findings import note, weak
-from dynasindy.planning import Gate, ModelError, NoPlanning
+from dynasindy.planning import ModelError
 from dynasindy.progress import listening
 from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.systems import Tras, Xi
@@ -33,18 +31,7 @@ def recorded(tmp_path_factory):
 
 def record(folder, tensorboard=False):
     """Run three episodes of the true model without planning, evaluated every second time."""
-    recipe = Recipe(
-        system=Tras(),
-        task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=20),
-        env=ControlEnv,
-        excitation=partial(Chirp, duration=1.0),
-        world_model=partial(Oracle, system=Tras()),
-        agent=partial(TD3, hidden=(8,)),
-        replay=partial(DynaReplay, 1000, 16),
-        planning=NoPlanning,
-        gate=Gate(),
-        train=LoopSettings(3, 0.1),
-    )
+    recipe = make_recipe(train=LoopSettings(3, 0.1))
     parts = recipe.build()
     scenario = Scenario("step", Step([[0.1, 0.1], [0.2, -0.1]]), episodes=2, seconds=6.0)
     recorder = Recorder(folder, parts, Evaluating(scenario, 2, tensorboard=tensorboard), 3)

@@ -6,14 +6,15 @@ from functools import cache, partial
 
 import pytest
 import torch
+from recipes import make_recipe
 from tensordict import TensorDict
 
-from dynasindy.agents import TD3, DynaReplay
+from dynasindy.agents import DynaReplay
 from dynasindy.dyna.excite import _interact
-from dynasindy.dyna.experiment import LoopSettings, Recipe
+from dynasindy.dyna.experiment import LoopSettings
 from dynasindy.dyna.refit import _acting, _fit, _held_out_windows, first_fit, refit
-from dynasindy.envs import Chirp, ControlEnv, RandomStep, Tracking
-from dynasindy.planning import Gate, ModelError, NoPlanning, replay_error
+from dynasindy.envs import Tracking
+from dynasindy.planning import ModelError, replay_error
 from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.systems import Diverged, Xi
 from dynasindy.systems.transitions import Transitions
@@ -37,18 +38,8 @@ class Scaled(Oracle):
 
 
 def built(*factors, steps=80):
-    return Recipe(
-        system=Xi(),
-        task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=steps),
-        env=ControlEnv,
-        excitation=partial(Chirp, duration=1.0),
-        world_model=partial(Scaled, factors=factors),
-        agent=partial(TD3, hidden=(8,)),
-        replay=partial(DynaReplay, 200, 16),
-        planning=NoPlanning,
-        gate=Gate(),
-        train=LoopSettings(1),
-    ).build()
+    replay, model = partial(DynaReplay, 200, 16), partial(Scaled, factors=factors)
+    return make_recipe(Xi(), steps, world_model=model, replay=replay).build()
 
 
 @cache

@@ -11,16 +11,17 @@ from functools import partial
 
 import pytest
 import torch
+from recipes import make_recipe
 
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna import Stopped
-from dynasindy.dyna.experiment import LoopSettings, Recipe
+from dynasindy.dyna.experiment import LoopSettings
 from dynasindy.dyna.recorder import Evaluating
 from dynasindy.dyna.run import Checkpoints, result, run, run_report
-from dynasindy.envs import ControlEnv, Multisine, RandomStep, Step, Tracking
+from dynasindy.envs import ControlEnv, Multisine, Step
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.findings import note
-from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay, NoPlanning
+from dynasindy.planning import GradientPlanning, ImaginedReplay, NoPlanning
 from dynasindy.safe_io import locked
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Xi
@@ -57,16 +58,14 @@ class Plug(Xi):
 def recipe(planning, episodes=3):
     known = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
     model = partial(SindyModel, known=known, regression=Regression("bic"), refinement=Refinement("integral"))
-    return Recipe(
-        system=Plug(),
-        task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=20),
+    return make_recipe(
+        Plug(),
         env=partial(ControlEnv, dt=0.1, substeps=2, dtype=torch.float64),
         excitation=partial(Multisine, duration=2.0),
         world_model=model,
         agent=partial(TD3, hidden=(8, 8), policy_average=0.01),
         replay=partial(DynaReplay, 60, 16, 0.5, model_capacity=30),  # both rings turn over
         planning=planning,
-        gate=Gate(),
         train=LoopSettings(episodes, 0.2, held_out=2),
         seed=3,
     )
