@@ -28,6 +28,7 @@ from dynasindy.envs.sensors import LONGEST, Sensors
 from dynasindy.findings import FindingError
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Altered, Diverged, Signature, System, integrate
+from dynasindy.systems.equilibria import central_differences
 from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import Steps, split_delay, steps_of
 
@@ -152,12 +153,7 @@ class Observer:
             mean: At the time of the last measurement that has arrived, `(*batch, n)`.
             inputs: As those of `advance`.
         """
-        n = mean.shape[-1]
-        steps = NUDGE * self.scale
-        nudges = torch.cat([torch.zeros(1, n, dtype=torch.float64), torch.diag(steps), -torch.diag(steps)])
-        around = self._period(mean.unsqueeze(-2) + nudges, inputs)
-        ahead, forth, back = around.split([1, n, n], -2)
-        return ahead.squeeze(-2), ((forth - back) / (2 * steps.unsqueeze(-1))).mT
+        return central_differences(lambda off: self._period(mean.unsqueeze(-2) + off, inputs), NUDGE * self.scale)
 
     def carried(self, belief: Belief, mean: Tensor, transition: Tensor) -> Belief:
         """Return the belief one control period later, of what `transition` returned for its mean."""

@@ -16,7 +16,7 @@ from torch import Tensor
 from dynasindy.evaluation.closed_loop import PERIODS, ClosedLoop, at_limit
 from dynasindy.planning.margins import MOVEMENT
 from dynasindy.progress import report_progress
-from dynasindy.systems.equilibria import find_equilibria
+from dynasindy.systems.equilibria import central_differences, find_equilibria
 
 NUDGE = 1e-5
 """Step of the differences of Newton's method [ranges]."""
@@ -156,22 +156,17 @@ def _linearise(
     """Return loops linearised at `z`, how far each moves from there in a period `(rows, n)`, and its commands."""
     n, n_u = loop.size, loop.signature.n_u
     scale = torch.cat([loop.scale, torch.ones(n_u), loop.scale[loop.parts["x"]]]).double()
-    nudges = size * torch.diag(scale)
-    points = torch.cat([torch.zeros_like(nudges[:1]), nudges, -nudges])
-    around = points.expand(len(z), -1, -1)
-    moved = loop.step(
-        z.unsqueeze(1) + around[..., :n],
-        covariance.unsqueeze(1),
-        r.unsqueeze(1).expand(-1, len(points), -1),
-        around[..., n : n + n_u],
-        around[..., n + n_u :],
-    )
-    out = torch.cat([moved.z, moved.u], -1)
-    centre, forth, back = out.split([1, len(scale), len(scale)], 1)
-    slopes = ((forth - back) / (2 * size * scale.unsqueeze(-1))).mT.numpy()
-    a, b, e = np.split(slopes[:, :n], [n, n + n_u], -1)
-    c, _, f = np.split(slopes[:, n:], [n, n + n_u], -1)
-    return Linear(loop.dt, a, b, c, e, f), centre[:, 0, :n] - z, centre[:, 0, n:]
+
+    def _ends(points: Tensor) -> Tensor:
+        off, added, noise = points.expand(len(z), -1, -1).split([n, n_u, len(scale) - n - n_u], -1)
+        held = r.unsqueeze(1).expand(-1, len(points), -1)
+        moved = loop.step(z.unsqueeze(1) + off, covariance.unsqueeze(1), held, added, noise)
+        return torch.cat([moved.z, moved.u], -1)
+
+    centre, slopes = central_differences(_ends, size * scale)
+    a, b, e = np.split(slopes[:, :n].numpy(), [n, n + n_u], -1)
+    c, _, f = np.split(slopes[:, n:].numpy(), [n, n + n_u], -1)
+    return Linear(loop.dt, a, b, c, e, f), centre[:, :n] - z, centre[:, n:]
 
 
 def find_rest(loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, seconds: float = 20.0) -> RestingLoop:

@@ -116,14 +116,21 @@ def slopes(system: System, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
     def _along(step: Tensor) -> Tensor:
         return system(x.unsqueeze(1) + step[:, :n_x] * scale, u.unsqueeze(1) + step[:, n_x:])
 
-    found = _slope(_along, n_x + u.shape[-1], x.dtype)
+    _, found = central_differences(_along, torch.full((n_x + u.shape[-1],), _STEP, dtype=x.dtype))
     return found[..., :n_x] / scale, found[..., n_x:]
 
 
 @torch.no_grad()
-def _slope(f: Callable[[Tensor], Tensor], n: int, dtype: torch.dtype) -> Tensor:
-    steps = _STEP * torch.eye(n, dtype=dtype)
-    return ((f(steps) - f(-steps)) / (2 * _STEP)).mT
+def central_differences(f: Callable[[Tensor], Tensor], steps: Tensor) -> tuple[Tensor, Tensor]:
+    """Return a function at zero, `(*batch, m)`, and its slopes there, `(*batch, m, n)`.
+
+    Args:
+        f: From points `(rows, n)` to values `(*batch, rows, m)`.
+        steps: Steps to both sides along each axis, `(n,)`.
+    """
+    n, sides = len(steps), torch.diag(steps)
+    centre, forth, back = f(torch.cat([torch.zeros_like(sides[:1]), sides, -sides])).split([1, n, n], -2)
+    return centre.squeeze(-2), ((forth - back) / (2 * steps.unsqueeze(-1))).mT
 
 
 def modes(a: Tensor, step: float | None = None) -> Tensor:
@@ -232,7 +239,7 @@ class _Search:
         def _around(steps: Tensor) -> Tensor:
             return self.residual(v.unsqueeze(1) + steps, targets.unsqueeze(1).expand(-1, len(steps), -1))
 
-        return _slope(_around, v.shape[-1], v.dtype)
+        return central_differences(_around, torch.full_like(v[0], _STEP))[1]
 
 
 LIGHT = 0.5

@@ -15,16 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from dynasindy.evaluation.ablation import (
-    CURVES,
-    FEWEST,
-    SHARE,
-    Level,
-    bootstrap_interval,
-    interquartile_mean,
-    read_ablation,
-    worst_errors,
-)
+from dynasindy.evaluation import ablation
 from dynasindy.safe_io import file_name
 from dynasindy.viz import style
 
@@ -63,7 +54,7 @@ def average_rewards(curves: Curves, episode: ArrayLike, title: str = "Average re
     return figure
 
 
-def draw_ablation(results: Path, level: Level) -> list[Path]:
+def draw_ablation(results: Path, level: ablation.Level) -> list[Path]:
     """Draw returns and errors for every plant and experiment in `ablation_curves.csv`.
 
     Where there are more settings than can be told apart, the figures have the numbers of rollouts, as the paper's.
@@ -75,7 +66,7 @@ def draw_ablation(results: Path, level: Level) -> list[Path]:
     Returns:
         The files.
     """
-    rows = read_ablation(results / CURVES)
+    rows = ablation.read_ablation(results / ablation.CURVES)
     files = []
     for (system, experiment), group in rows.groupby(["system", "experiment"], sort=False):
         case = file_name(f"{system}_{experiment}", "plant and experiment")
@@ -83,8 +74,8 @@ def draw_ablation(results: Path, level: Level) -> list[Path]:
         words = group["setting"].str.split(",")  # of the command line; those that all share say nothing
         common = set.intersection(*(set(each[1:]) for each in words))
         lines = group.assign(setting=[",".join(word for word in each if word not in common) for each in words])
-        shares = SHARE in lines and bool(lines[SHARE].notna().all())
-        errors = _curves(lines, 100 * lines[SHARE] if shares else worst_errors(lines))
+        shares = ablation.SHARE in lines and bool(lines[ablation.SHARE].notna().all())
+        errors = _curves(lines, 100 * lines[ablation.SHARE] if shares else ablation.worst_errors(lines))
         few = [name for name in errors if re.fullmatch(r"rollouts_\d+", name)] if len(errors) > MOST_NAMED else []
         chosen = {name: style.controller_name(name) for name in few or errors}
         returns, errors = (
@@ -124,19 +115,19 @@ def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike) -> None:
         label = f"{words} ({len(rows)} seed{'s' * (len(rows) > 1)})"
         # A line through a single episode would not be seen.
         look: dict[str, Any] = {**line, "marker": "o" if len(x) == 1 else None, "clip_on": len(x) > 1}
-        if len(rows) < FEWEST:
+        if len(rows) < ablation.FEWEST:
             for number, row in enumerate(rows):
                 axis.plot(x, row, label="_" * (number > 0) + label, **look)
             continue
         by_episode = torch.as_tensor(rows.T)
-        low, high = bootstrap_interval(by_episode, resamples=1000)
-        axis.plot(x, interquartile_mean(by_episode).numpy(), label=label, **look)
+        low, high = ablation.bootstrap_interval(by_episode, resamples=1000)
+        axis.plot(x, ablation.interquartile_mean(by_episode).numpy(), label=label, **look)
         axis.fill_between(x, low.numpy(), high.numpy(), color=line["color"], alpha=0.2, linewidth=0, label=f"_{label}")
         if len(x) == 1:
             axis.vlines(x, low.numpy(), high.numpy(), color=line["color"], alpha=0.3, linewidth=7)
     counts = [len(rows) for rows in seeds.values()]
-    if max(counts, default=0) >= FEWEST:
-        words = f"; each seed where there are fewer than {FEWEST}" if min(counts) < FEWEST else ""
+    if max(counts, default=0) >= ablation.FEWEST:
+        words = f"; each seed where there are fewer than {ablation.FEWEST}" if min(counts) < ablation.FEWEST else ""
         axis.plot([], [], color=style.GREY, label=f"line: interquartile mean over seeds{words}")
         axis.plot([], [], color=style.GREY, alpha=0.3, linewidth=7, label="band: its 95 % bootstrap interval")
     room = 0.02 * (episodes[-1] - episodes[0]) + 1e-3
