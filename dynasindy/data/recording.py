@@ -79,8 +79,7 @@ class Recording:
 
     def __repr__(self) -> str:
         data, signature = self.transitions, self.signature
-        states = (f"{name} [{unit}]" for name, unit in zip(signature.state_names, signature.state_units, strict=True))
-        stretches = len(data.segment.unique())
+        states, stretches = signature.headings(signature.state_names), len(data.segment.unique())
         many = f" in {stretches} stretches" if stretches > 1 else ""
         length, step = format_duration(len(data) * data.dt), format_duration(data.dt)
         head = f"Recording of {len(data)} rows, {length} every {step}{many}: states {', '.join(states)}"

@@ -232,17 +232,15 @@ class Session:
             ValueError: The controller is one for another plant, period or sensors; nothing has moved.
         """
         mine, theirs = self.wiring.signature, controller.signature
-        sensors = controller.observer and controller.observer.sensors.channels
-        wanted = set(sensors) if sensors else set(theirs.state_names)
         if theirs.input_names != mine.input_names:
             raise ValueError(f"the controller sets {', '.join(theirs.input_names)}, not {', '.join(mine.input_names)}")
         if abs(controller.dt - self.wiring.dt) > 1e-9 * self.wiring.dt:
             raise ValueError(
                 f"the controller's period is {controller.dt:g} s, the rig's {self.wiring.dt:g} s; give dt="
             )
-        if missing := sorted(wanted - set(self.wiring.measured)):
+        if missing := sorted({*controller.measured} - {*self.wiring.measured}):
             raise ValueError(f"the rig does not measure {missing[0]}, which the controller reads; plan one for it")
-        for state in sorted(wanted):
+        for state in sorted(controller.measured):
             units = [s.state_units[s.state_index(state)] for s in (theirs, mine)]
             if units[0] != units[1]:
                 raise ValueError(f"the controller reads {state} in {units[0]}, the rig sends {units[1]}; give one unit")

@@ -46,7 +46,6 @@ class ExpressionGraph:
     Attributes:
         nodes: operation and operands of each value, which stand before it; the text of a variable, a constant or a
             number, which has no operands.
-        slopes: those of each value of a formula, by its place.
         results: places of the results.
         entries: row, variable and place of each derivative of a result that is not zero.
 
@@ -60,14 +59,12 @@ class ExpressionGraph:
         self.nodes: list[tuple[str, tuple[int, ...]]] = []
         self._places: dict[tuple[str, tuple[int, ...]], int] = {}
         self._one, self._named = self.node("1.0"), {text: self.node(text) for text in variables}
-        numbered = ((self._named[text], number) for text, number in variables.items())
-        self.slopes: dict[int, Slopes] = {
-            place: {} if number is None else {number: self._one} for place, number in numbered
-        }
+        given = zip(self._named.values(), variables.values(), strict=True)
+        self._slopes: dict[int, Slopes] = {k: {} if number is None else {number: self._one} for k, number in given}
         for name, formula in lines:
             self._named[name] = self._value(parsed(formula))
         self.results = [self._value(parsed(formula)) for formula in results]
-        rows = (sorted(self.slopes[place].items()) for place in self.results)
+        rows = (sorted(self._slopes[place].items()) for place in self.results)
         self.entries = [(row, *entry) for row, entries in enumerate(rows) for entry in entries]
 
     def node(self, operation: str, *operands: int) -> int:
@@ -96,8 +93,8 @@ class ExpressionGraph:
             case _:
                 raise ValueError(f"{text[:60]!r} is no part of a formula")
         place = self.node(operation, *(places := [self._value(operand) for operand in operands]))
-        if place not in self.slopes:
-            self.slopes[place] = self._differentiate(place, operation, places)
+        if place not in self._slopes:
+            self._slopes[place] = self._differentiate(place, operation, places)
         return place
 
     def needed(self, places: Iterable[int]) -> list[int]:
@@ -110,7 +107,7 @@ class ExpressionGraph:
         return sorted(found)
 
     def _differentiate(self, place: int, operation: str, operands: list[int]) -> Slopes:
-        node, inner = self.node, [self.slopes[operand] for operand in operands]
+        node, inner = self.node, [self._slopes[operand] for operand in operands]
         if not any(inner):
             return {}
         match operation, operands:
@@ -133,7 +130,7 @@ class ExpressionGraph:
         return {}
 
     def _scaled(self, place: int, factor: int) -> Slopes:
-        slopes = self.slopes[place].items()
+        slopes = self._slopes[place].items()
         return {n: factor if slope == self._one else self.node("*", slope, factor) for n, slope in slopes}
 
     def _added(self, first: Slopes, second: Slopes) -> Slopes:
