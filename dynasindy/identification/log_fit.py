@@ -90,6 +90,8 @@ PRICES, SURE = (1.0, 2.0), 0.1
 """Factors on what a function must be worth; standard error below which it is worth any of them [coefficients]."""
 HOPELESS = 1.0
 """Score behind the best one beyond which nothing dearer is tried of a candidate."""
+UNEXPLAINED = 0.5
+"""Part of the score of linear equations that functions have to take off it, or hidden states are tried at once."""
 LEADERS = 3
 """Models that longer simulations are fitted by, those first that predict best."""
 MANY = 100
@@ -445,9 +447,9 @@ class _Search:
             first = near.get(source.signature.state_names)
             if first is not None and first.structure is model:
                 self._regressed(model, source)
-        if (linear_best := self.best).structure is not None:  # no function makes it better
-            self._with_hidden_states()
-            linear_best = self.best
+        beyond = [self._try_state_space]
+        if linear and self.best.score > UNEXPLAINED * linear[0].score:  # no function explains it
+            self._with_hidden_states(beyond.pop())
         if linear and self.best.score > 0 and (lagging := self._with_lag_states(linear[0])) is not linear[0]:
             self._select(lagging)
         has_new_state = False
@@ -461,8 +463,7 @@ class _Search:
             self._with_larger_library()
             if self.best is not before:
                 self._windows(self.best)
-        if self.best is not linear_best:
-            self._with_hidden_states()
+        self._with_hidden_states(self._try_chains, *beyond)
 
     def _windows_of_leaders(self, candidates: Sequence[Candidate]) -> None:
         """Simulate the best of some candidates over longer windows, of two with the same equations the better one."""
@@ -618,30 +619,36 @@ class _Search:
                 break
         return best
 
-    def _with_hidden_states(self) -> None:
+    def _with_hidden_states(self, *attempts: Callable[[], None]) -> None:
         """Try hidden states, where a simple model predicts better, and keep them where that is no chance."""
-        if self.builder is None or self.given.given_known is not None or self.best.score <= 0:
+        if self.builder is None or self.given.given_known is not None or not self.tried or self.best.score <= 0:
             return
         known, before = len(self.tried), self.best
-        self._hide_states(before)
+        for attempt in attempts:
+            attempt()
         if hidden := [each for each in self._near() if each in self.tried[known:]]:
             self._windows_of_leaders(hidden)
             self._with_larger_library()
         if self.best is not before and not self._clearly_better(self.best, before):
             del self.tried[known:]
 
-    def _hide_states(self, of: Candidate) -> None:
-        """Try hidden states behind each state that a simple model predicts better, then linear equations of all."""
+    def _try_chains(self) -> None:
+        """Try hidden states behind each state that a simple model predicts better; the other equations stay."""
+        of, signature = self.best, self.source.signature
+        if of.structure is not None or signature.n_x == 1:
+            return  # it would be a linear model
         pairs = zip(self.folds, of.errors, strict=False)
         ratios = torch.stack([fold.ratios(errors).nanmean(0) for fold, errors in pairs]).nanmean(0).nan_to_num()
         behind = dict(zip(of.source.signature.state_names, ratios.tolist(), strict=False))
         measured = self.source if of.source.training.u_end is None else self.source.with_linear_inputs()
         early = [of.source.training.select(fold.fit_rows()) for fold in self.folds]
-        for state in sorted(measured.signature.state_names, key=lambda name: -behind[name]):
-            # Of one state alone, and of linear equations, it would be a linear model.
-            if behind[state] > 0 and measured.signature.n_x > 1 and of.structure is None:
+        for state in sorted(signature.state_names, key=lambda name: -behind[name]):
+            if behind[state] > 0:
                 chains = (chain_candidates(*each, state) for each in zip(of.models, early, strict=True))
                 self._ever_more_states(f"{of.what}, {state} with", chains, measured)
+
+    def _try_state_space(self) -> None:
+        """Try linear equations of all states with hidden ones."""
         for source, moving in ((self.source, ""), (self.source.with_linear_inputs(), ", inputs that move evenly")):
             if self.best.score > 0:
                 parts = [source.training.select(fold.fit_rows()) for fold in self.folds]
