@@ -31,14 +31,13 @@ def main(cfg: Any) -> None:
     file, metrics = ((run if run.is_dir() else run.parent) / name for name in ("config.yaml", "metrics.json"))
     with reading(file):
         saved: Any = OmegaConf.to_container(read_config(file)) if file.is_file() else {}
-        plant, task = saved.get("plant") or {}, saved.get("task") or {}
-        start = {key: task.get(key) or plant.get(key) or {} for key in ("start", "bounds")}
+        plant = saved.get("plant") or {}
         ends = {key: own[key] or plant.get(key) for key in ("low", "high")}
     if not all(ends.values()):
         raise ValueError(f"{file} holds no plant.low and plant.high; give low=[...] and high=[...] of the targets")
     tried = {key: own[key] for key in ("points", "seconds", "reach", "grid", "draws", "seed")}
     folder = output_folder(run, "check", cfg.folder)
-    found = check(ClosedLoop(controller, model), Settings(**ends, **start, **tried))
+    found = check(ClosedLoop(controller, model), Settings(**ends, **tried))
     record = check_record(found)
     if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
         add_to_json(metrics, "check", {"stable": bool(found.stable.all()), "findings": record["findings"], **ends})

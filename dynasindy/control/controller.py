@@ -7,8 +7,8 @@ outside. A file has all that it is made of as plain numbers and names; nothing i
 | ----------- | ----------------------------------------------------------------------------------------------------- |
 | `signature` | names, units and ranges of the states, names of the inputs                                            |
 | `task`      | control period [s], Runge-Kutta steps in it, mechanical stops, tracked states, how the observation is |
-|             | made, limits of the inputs, ends of the targets, null where they are not known; an end of a stop that |
-|             | is null is not there                                                                                  |
+|             | made, limits of the inputs, ends of the targets, null where they are not known, and of the states in  |
+|             | which episodes begin; an end of a stop that is null is not there                                      |
 | `policy`    | weights of each layer, float32 in base 64, `(n_out, n_in)` row by row, and biases                     |
 | `integral`  | numbers of the integral action, or null                                                               |
 | `observer`  | sensors, process noise, and the model, as in model.json; or null                                      |
@@ -480,6 +480,7 @@ def save(controller: Controller, path: str | Path) -> None:
             "error_scale": task.error_scale,
             "box": task.boxes().tolist(),
             "targets": task.ends,
+            "start": dict(zip(controller.signature.state_names, task.start_ends.mT.tolist(), strict=True)),
             "input_limits": task.input_limits.tolist(),
         },
         "policy": [
@@ -524,7 +525,7 @@ def load(path: str | Path) -> Controller:
         outputs, substeps = list(given["outputs"]), given["substeps"]
         if type(substeps) is not int or not 1 <= substeps <= FINEST:
             raise ValueError(f"substeps is {str(substeps)[:40]!r}; allowed are whole numbers from 1 to {FINEST}")
-        # Files that were written before targets were kept, and before inputs had limits, have none.
+        # Files that were written before targets and starts were kept, and before inputs had limits, have none.
         least, most = ([_number(value) for value in row] for row in given.get("targets") or ((), ()))
         task = Tracking(
             signature,
@@ -536,6 +537,7 @@ def load(path: str | Path) -> Controller:
             error_scale=_number(given["error_scale"], 0.0),
             low=least or None,
             high=most or None,
+            start=given.get("start"),
         )
         limits = given.get("input_limits", task.input_limits.tolist())
         task = task.with_input_limits([[_number(end) for end in row] for row in limits])

@@ -269,7 +269,12 @@ class Tracking(Task):
     @property
     def start_ends(self) -> Tensor:
         """Ends of the states in which episodes begin, `(2, n_x)`; `start`, unless the plant says where."""
-        return self.start if self.starts is None else super().start_ends
+        if self.starts is not None:
+            return super().start_ends
+        ends = self.start.clone()
+        for follower, state in self.followers.items():
+            ends[:, follower] += ends[:, state]
+        return ends
 
     def with_reference(self, reference: Reference) -> Tracking:
         """Return the same task with another distribution of references.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -14,13 +14,12 @@ from torch import Tensor
 
 from dynasindy.control import Controller
 from dynasindy.evaluation.closed_loop import PERIODS, ClosedLoop, LoopSimulation
-from dynasindy.evaluation.linear_loop import NEUTRAL, Array, Margins, RestingLoop, find_rest, guess_rest, loop_margins
+from dynasindy.evaluation.linear_loop import NEUTRAL, Array, Margins, RestingLoop, find_rest, loop_margins
 from dynasindy.findings import Finding, note, records, weak, wrong
 from dynasindy.planning.margins import MOVEMENT
 from dynasindy.progress import reporting_as, track
 from dynasindy.safe_io import checked_class
 from dynasindy.sindy import SindyModel
-from dynasindy.systems.base import Ends
 
 DRAWN = 0.05
 """Largest share by which coefficients are drawn at random where the model does not tell how well it knows them."""
@@ -49,9 +48,6 @@ class Settings:
         grid: Initial errors along each axis.
         draws: Plants drawn at random.
         seed: Seed of the draws.
-        start: Where steps begin, as `plant.start` of a run: by state a value, or a range, of which it is the middle.
-        bounds: Limits of states, as `plant.bounds` of a run. Without `start` steps begin at the origin, or where the
-            model rests nearest to the middle target if these exclude the origin.
 
     Raises:
         ValueError: The target range is none, or a number is out of its range.
@@ -65,8 +61,6 @@ class Settings:
     grid: Annotated[int, pydantic.Field(ge=2, le=100)] = 11  # with whose square flights grow
     draws: Annotated[int, pydantic.Field(ge=0, le=10_000)] = 20
     seed: int = 0
-    start: Mapping[str, Ends] = field(default_factory=dict)
-    bounds: Mapping[str, Ends] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         ends = list(zip(self.low, self.high, strict=False))
@@ -152,7 +146,7 @@ class Check:
         loop: The loop that was looked at.
         settings: What was tried.
         targets: References, `(n_targets, n_r)`.
-        begin: State in which steps begin, `(n_x,)`.
+        begin: State in which steps begin, the middle of where episodes of the plan did, `(n_x,)`.
         farthest: Number of the target that is farthest from there.
         rest: Where the loop rests at the targets.
         margins: Per target and input, at rest; none where the loop is not stable.
@@ -221,10 +215,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
     seconds = settings.seconds or PERIODS * loop.dt
     settings, targets = replace(settings, seconds=seconds), settings.targets
     rest = find_rest(loop, targets, seconds=seconds)
-    begin = loop.signature.start_ranges(settings.start).double().mean(0)
-    low, high = loop.signature.state_limits(settings.bounds)
-    if not settings.start and not bool(((low <= 0) & (high >= 0)).all()):
-        begin = guess_rest(loop, settings.ends.mean(0, keepdim=True))[0, loop.parts["x"]]
+    begin = loop.task.start_ends.double().mean(0)
     good, farthest = rest.stable, int((targets - begin[loop.task.outputs]).square().sum(-1).argmax())
     rows = [rest.linear.row(k).decaying() if ok else None for k, ok in enumerate(good.tolist())]
     margins = [loop_margins(row) if row else [] for row in track("margins", rows, len(rows), "targets")]

@@ -656,15 +656,18 @@ def test_steps_and_stops_are_kept_without_an_observer_and_with_one_open_end(tmp_
     assert (setup.substeps, setup.stops) == (3, Stops((0,), (1,), (-math.inf,), (0.6,)))
 
 
-def test_the_targets_of_the_plan_are_kept_and_a_file_that_has_none_is_read(tmp_path):
+def test_targets_and_starts_of_the_plan_are_kept_and_a_file_that_has_none_is_read(tmp_path):
     controller, path = built(), tmp_path / "controller.json"
+    ends = controller.setup.task.start  # its own tensor
+    ends[:, 0] = torch.tensor([0.25, 0.75])
     save(controller, path)
     assert load(path).setup.task.ends == ((-0.5,), (1.3,))
+    assert torch.equal(load(path).setup.task.start_ends, ends)
     record = json.loads(path.read_text())
-    del record["task"]["targets"]
+    del record["task"]["targets"], record["task"]["start"]
     path.write_text(json.dumps(record))
     old = load(path)
-    assert old.setup.task.ends is None and old.targets_in_words() == []
+    assert old.setup.task.ends is None and not old.setup.task.start_ends.any() and old.targets_in_words() == []
     np.testing.assert_array_equal(acts(old), acts(controller))
     record["task"]["targets"] = [[None], [1.3]]
     path.write_text(json.dumps(record))

@@ -51,7 +51,7 @@ def test_what_cannot_be_tried_is_refused(wrong):
 
 def test_what_is_tried_by_default_is_what_the_command_tries():
     told = OmegaConf.load(Path(__file__).parents[2] / "conf" / "check.yaml")
-    of_the_run = ("low", "high", "start", "bounds")
+    of_the_run = ("low", "high")
     ours = {name: value for name, value in asdict(Settings((0.0,), (1.0,))).items() if name not in of_the_run}
     assert ours == {name: told[name] for name in ours}
 
@@ -94,22 +94,11 @@ def test_a_loop_that_is_not_stable_has_no_margins():
     assert held["targets"][0]["steady_error"]["p"] > 1
 
 
-@pytest.mark.parametrize(
-    ("start", "bounds", "begin", "told"),
-    [
-        ({}, {}, [0.0, 0.0], "the origin"),
-        ({}, {"p": 0.5}, [0.0, 0.0], "the origin"),
-        ({"p": [0.1, 0.3]}, {"p": [0.05, 0.5]}, [0.2, 0.0], "p = 0.2 m"),
-        ({}, {"p": [0.05, 0.5]}, [0.3, 0.0], "p = 0.3 m"),  # a cart rests wherever it stands
-    ],
-)
-def test_steps_begin_where_the_run_begins_or_within_its_bounds(start, bounds, begin, told):
-    settings = Settings((0.2,), (0.4,), points=3, seconds=4.0, grid=3, draws=1, start=start, bounds=bounds)
-    found = check(make_loop(), settings)
-    expected = torch.tensor(begin, dtype=torch.float64)
+@pytest.mark.parametrize(("start", "begin"), [(None, [0.0, 0.0]), ({"p": [0.1, 0.3], "v": -1.0}, [0.2, -1.0])])
+def test_steps_begin_where_episodes_of_the_plan_do(start, begin):
+    found = check(make_loop(start=start), Settings((0.2,), (0.4,), points=3, seconds=4.0, grid=3, draws=1))
     for flights in (found.steps, found.drawn):
-        torch.testing.assert_close(flights.x[:, 0], expected.expand(len(flights.x), -1))
-    assert found.beginning() == told
+        torch.testing.assert_close(flights.x[:, 0], torch.tensor([begin] * len(flights.x), dtype=torch.float64))
     assert abs(float(found.targets[found.farthest, 0]) - begin[0]) == pytest.approx(max(0.4 - begin[0], begin[0] - 0.2))
 
 
@@ -154,8 +143,7 @@ def test_carts_on_rails_of_their_own_are_judged_together_as_each_alone():
 
     def checked(*names):
         ends = tuple(zip(*(given[name] for name in names)))
-        bounds = {f"p_{name}": [0.1, 0.9] for name in names}
-        return check(side_by_side(*names), Settings(*ends, points=2, seconds=2.5, grid=2, draws=0, bounds=bounds))
+        return check(side_by_side(*names), Settings(*ends, points=2, seconds=2.5, grid=2, draws=0))
 
     both, alone = checked("a", "b"), {name: checked(name) for name in "ab"}
     assert both.targets.tolist() == [[-0.4, 0.2], [-0.4, 0.5], [0.6, 0.2], [0.6, 0.5]]

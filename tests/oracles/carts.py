@@ -28,9 +28,9 @@ class Law:
         return tensordict.set("action", u.clamp(-self.limit, self.limit))
 
 
-def make_task(signature=CART):
+def make_task(signature=CART, start=None):
     outputs, rates = signature.state_names[:1], signature.state_names[1:]
-    return Tracking(signature, Step([[0.0]]), outputs, rates, TrackingReward((1.0,)), error_scale=0.7)
+    return Tracking(signature, Step([[0.0]]), outputs, rates, TrackingReward((1.0,)), error_scale=0.7, start=start)
 
 
 def make_cart(delay=0.0, friction=0.0, spring=0.0, step=None):
@@ -48,9 +48,9 @@ def watching(model, setup, **settings):
     return observer
 
 
-def make_loop(law=None, model=None, observer=None, integral=None, stops=None, dt=DT, step=DT / 2):
+def make_loop(law=None, model=None, observer=None, integral=None, stops=None, dt=DT, step=DT / 2, start=None):
     model = model or make_cart()
-    setup = ControlSetup(make_task(), dt, 2, stops)
+    setup = ControlSetup(make_task(start=start), dt, 2, stops)
     seeing = None if observer is None else watching(model, setup, **observer)
     controller = Controller(law or Law(2.0, 2.5), setup, seeing, integral)
     return ClosedLoop(controller, model, step)
