@@ -129,16 +129,18 @@ def simulate(
         touched = torch.empty(u.shape[:-1], dtype=torch.bool)
         code.bind(x, u, samples, touched, dt, substeps, stops)()
     else:
-        ends, hits = list[Tensor](), list[Tensor]()
+        periods, hits = list[Tensor](), list[Tensor]()
         for held in u:
-            hits.append(torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device))
+            ends, hit = list[Tensor](), torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device)
             for _ in range(count):
                 x = _stepped(f, x, held, h, difference)
                 if stops is not None:
                     x, stopped = stops.apply(x)
-                    hits[-1] = hits[-1] | stopped
+                    hit = hit | stopped
                 ends.append(x)
-        samples, touched = torch.stack(ends, -2).unflatten(-2, (len(u), count)).movedim(-3, 0), torch.stack(hits)
+            periods.append(torch.stack(ends, -2))
+            hits.append(hit)
+        samples, touched = torch.stack(periods), torch.stack(hits)
     if difference and not samples.shape[-2] == substeps == 1:  # the samples are all from the end of the period
         samples = samples[..., -1:, :].repeat_interleave(substeps, -2)
     return samples, touched
