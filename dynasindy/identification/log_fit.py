@@ -362,6 +362,7 @@ class _Search:
     tried: list[Candidate] = field(default_factory=list)
     began: float = field(default_factory=time.process_time)
     lag_seconds: float = 0.0
+    widened: set[tuple[int, str]] = field(default_factory=set)
 
     @property
     def best(self) -> Candidate:
@@ -441,12 +442,13 @@ class _Search:
         for each in linear:
             firsts.setdefault(each.states, each)
         near = {states: each for states, each in firsts.items() if each.score < linear[0].score + HOPELESS}
-        for each in near.values():
+        for each in sorted(near.values(), key=lambda each: len(each.states)):  # what costs little first
             self._select(each)
-        for model, source in structures if self.builder is not None else ():
-            first = near.get(source.signature.state_names)
-            if first is not None and first.structure is model:
-                self._regressed(model, source)
+            for model, source in structures if self.builder is not None else ():
+                if each.structure is model:
+                    self._regressed(model, source)
+            if self.builder is not None and each is not linear[-1]:
+                self._with_larger_library(each.states)
         beyond = [self._try_state_space]
         if linear and self.best.score > UNEXPLAINED * linear[0].score:  # no function explains it
             self._with_hidden_states(beyond.pop())
@@ -753,11 +755,14 @@ class _Search:
             best = none
         return _with_functions(model, lambda each: _quotients(each) <= best)
 
-    def _with_larger_library(self) -> None:
+    def _with_larger_library(self, states: tuple[str, ...] | None = None) -> None:
         """Try signed squares, cubic functions, and roots of what is never negative, of fewest states first."""
-        near = sorted({each.states for each in self._near()}, key=len)
+        near = sorted({each.states for each in self._near()}, key=len) if states is None else [states]
         for states, what in product(near, ("signed squares", "cubic functions", "square roots")):
             of = min((each for each in self.tried if each.states == states), key=lambda each: each.score)
+            if (id(of), what) in self.widened:
+                continue
+            self.widened.add((id(of), what))
             model = of.model
             known = {each.key for each in model.library.features}
             more = [each for each in self._functions(what, model) if each.key not in known]
