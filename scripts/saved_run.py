@@ -260,7 +260,8 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
     """
     file = folder / "config.yaml"
     if not file.is_file():
-        raise FileNotFoundError(f"{folder} is not a run folder, it has no config.yaml; give one that train.py printed")
+        lacks = "is no run folder, it has no config.yaml" if folder.is_dir() else "does not exist"
+        raise FileNotFoundError(f"{folder} {lacks}; give a run folder that train.py printed")
     config = read_config(file)
     if any(config.get(key) is not None for key in ("rig", "data", "model")):
         told = f"{program('check')} run={folder} tells what its controller does on the model"
