@@ -133,7 +133,7 @@ class RestingLoop(NamedTuple):
         return RestingLoop(z, covariance, u, still, error, self.linear.row(rows.numpy()))
 
 
-def guess_rest(loop: ClosedLoop, r: Tensor) -> Tensor:
+def _guess_rest(loop: ClosedLoop, r: Tensor) -> Tensor:
     """Return vectors near those at rest, `(rows, n)`: the plant where the model rests with its outputs at `r`.
 
     Where the model has no such place, it is the state at the origin with the outputs put to `r`.
@@ -181,7 +181,7 @@ def find_rest(loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, sec
         seconds: How long the loop may run [s].
     """
     r = r.double()
-    z = guess_rest(loop, r) if start is None else start.z
+    z = _guess_rest(loop, r) if start is None else start.z
     covariance = loop.steady_covariance(z) if start is None else start.covariance
     found, still = _newton(loop, z, covariance, r)
     linear, _, u = _linearise(loop, found, covariance, r)
