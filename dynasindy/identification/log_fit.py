@@ -98,6 +98,8 @@ MANY = 100
 """Functions up to which regressions choose among all of them, and beyond which those of one factor come first."""
 SHARE, LARGEST_SHARE, LAST_SHARE = 0.25, 0.5, 0.15
 """Part of the time that states that follow a signal may take, any one candidate, and the last fit."""
+COSTLY = 1 / 30
+"""Part of the time that the first candidate may take on one part, or no others are kept to judge on."""
 CUBIC = 6
 """States and inputs up to which cubic functions are tried."""
 ANGLES = frozenset({"rad", *TURNS})
@@ -496,7 +498,7 @@ class _Search:
         """Fit copies of a model to what is not kept, and judge them."""
         if self.tried and (self.expired or self._exact()):
             return None
-        fitted, errors, candidate = list[SindyModel](), list[Tensor](), None
+        fitted, errors, candidate, began = list[SindyModel](), list[Tensor](), None, time.process_time()
         with _attempt(), reporting_as(what):
             for model, fold in zip(models, self.folds, strict=True):
                 if errors and self.tried and self.expired:
@@ -511,6 +513,9 @@ class _Search:
                 if not bool(moves.all()) or not has_clear_lags(fitted[-1]):
                     return None  # what moves by nothing is no equation, what moves nothing no state
                 errors.append(fold.errors(fitted[-1], source))
+                if not self.tried and time.process_time() - began > COSTLY * self.refinement.seconds:
+                    self.folds = self.folds[:1]
+                    break
                 hopeless = bool(self.tried) and fold.score(errors[-1]) > self.best.score + 2 * HOPELESS
                 if fold.exact(errors[-1]) or hopeless:
                     break  # the other parts would tell the same
