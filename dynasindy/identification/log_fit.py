@@ -90,14 +90,15 @@ PRICES, SURE = (1.0, 2.0), 0.1
 """Factors on what a function must be worth; standard error below which it is worth any of them [coefficients]."""
 HOPELESS = 1.0
 """Score behind the best one beyond which nothing dearer is tried of a candidate."""
-UNEXPLAINED = 0.5
-"""Part of the score of linear equations that functions have to take off it, or hidden states are tried at once."""
+FAR_BEHIND = 0.5
+"""Score of equations with functions beyond which hidden states are tried before other functions."""
 LEADERS = 3
 """Models that longer simulations are fitted by, those first that predict best."""
 MANY = 100
 """Functions up to which regressions choose among all of them, and beyond which those of one factor come first."""
-SHARE, LARGEST_SHARE, LAST_SHARE = 0.25, 0.5, 0.15
-"""Part of the time that states that follow a signal may take, any one candidate, and the last fit."""
+SHARE, HIDDEN, LARGEST_SHARE, LAST_SHARE = 0.25, 0.35, 0.5, 0.15
+"""Part of the time that states that follow a signal may take, hidden states of linear equations before other functions
+are tried, any one candidate, and the last fit."""
 COSTLY = 1 / 30
 """Part of the time that the first candidate may take on one part, or no others are kept to judge on."""
 CUBIC = 6
@@ -444,30 +445,35 @@ class _Search:
         for each in linear:
             firsts.setdefault(each.states, each)
         near = {states: each for states, each in firsts.items() if each.score < linear[0].score + HOPELESS}
-        for each in sorted(near.values(), key=lambda each: len(each.states)):  # what costs little first
+        by_size = sorted(near.values(), key=lambda each: len(each.states))  # what costs little first
+        for each in by_size:
             self._select(each)
             for model, source in structures if self.builder is not None else ():
                 if each.structure is model:
                     self._regressed(model, source)
-            if self.builder is not None and each is not linear[-1]:
-                self._with_larger_library(each.states)
+            if self.builder is not None and each is not by_size[-1]:
+                self._with_larger_library([each])
         beyond = [self._try_state_space]
-        if linear and self.best.score > UNEXPLAINED * linear[0].score:  # no function explains it
-            self._with_hidden_states(beyond.pop())
+        if linear and self.best.score > FAR_BEHIND:  # no function explains it
+            self._with_hidden_states(
+                min(self.until, time.process_time() + HIDDEN * self.refinement.seconds), beyond.pop()
+            )
         if linear and self.best.score > 0 and (lagging := self._with_lag_states(linear[0])) is not linear[0]:
             self._select(lagging)
         has_new_state = False
         if self.builder is not None and self.tried:
-            self._with_larger_library()
+            self._with_larger_library(self._near())
             before = self.best
             has_new_state = self._with_lag_states(before) is not before
         self._windows_of_leaders(self._near())
         if has_new_state:
             before = self.best
-            self._with_larger_library()
+            self._with_larger_library(self._near())
             if self.best is not before:
                 self._windows(self.best)
-        self._with_hidden_states(self._try_chains, *beyond)
+        if hidden := self._with_hidden_states(self.until, self._try_chains, *beyond):
+            self._windows_of_leaders(hidden)
+            self._with_larger_library(self._near())
 
     def _windows_of_leaders(self, candidates: Sequence[Candidate]) -> None:
         """Simulate the best of some candidates over longer windows, of two with the same equations the better one."""
@@ -626,20 +632,21 @@ class _Search:
                 break
         return best
 
-    def _with_hidden_states(self, *attempts: Callable[[], None]) -> None:
-        """Try hidden states, where a simple model predicts better, and keep them where that is no chance."""
+    def _with_hidden_states(self, until: float, *attempts: Callable[[float], None]) -> list[Candidate]:
+        """Try hidden states where a simple model predicts better, up to some CPU time [s]; return those worth keeping.
+
+        They are none where the best of them is better by chance.
+        """
         if self.builder is None or self.given.given_known is not None or not self.tried or self.best.score <= 0:
-            return
+            return []
         known, before = len(self.tried), self.best
         for attempt in attempts:
-            attempt()
-        if hidden := [each for each in self._near() if each in self.tried[known:]]:
-            self._windows_of_leaders(hidden)
-            self._with_larger_library()
+            attempt(until)
         if self.best is not before and not self._clearly_better(self.best, before):
             del self.tried[known:]
+        return [each for each in self._near() if each in self.tried[known:]]
 
-    def _try_chains(self) -> None:
+    def _try_chains(self, until: float) -> None:
         """Try hidden states behind each state that a simple model predicts better; the other equations stay."""
         of, signature = self.best, self.source.signature
         if of.structure is not None or signature.n_x == 1:
@@ -652,21 +659,23 @@ class _Search:
         for state in sorted(signature.state_names, key=lambda name: -behind[name]):
             if behind[state] > 0:
                 chains = (chain_candidates(*each, state) for each in zip(of.models, early, strict=True))
-                self._ever_more_states(f"{of.what}, {state} with", chains, measured)
+                self._ever_more_states(f"{of.what}, {state} with", chains, measured, until)
 
-    def _try_state_space(self) -> None:
+    def _try_state_space(self, until: float) -> None:
         """Try linear equations of all states with hidden ones."""
         for source, moving in ((self.source, ""), (self.source.with_linear_inputs(), ", inputs that move evenly")):
             if self.best.score > 0:
                 parts = [source.training.select(fold.fit_rows()) for fold in self.folds]
                 begun = (state_space_candidates(self.given, part) for part in parts)
-                self._ever_more_states(f"linear equations{moving}, with", begun, source)
+                self._ever_more_states(f"linear equations{moving}, with", begun, source, until)
 
-    def _ever_more_states(self, what: str, candidates: Iterable[Iterator[list[SindyModel]]], source: Source) -> None:
+    def _ever_more_states(
+        self, what: str, candidates: Iterable[Iterator[list[SindyModel]]], source: Source, until: float
+    ) -> None:
         """Try models of ever more hidden states, for each part that is kept, until they do not get better."""
         best, worse = math.inf, 0
         for count, begun in enumerate(zip(*candidates, strict=True), 1):
-            if self.expired or self._exact() or worse > WORSE:
+            if time.process_time() > until or self._exact() or worse > WORSE:
                 break
             if models := self._best_starts(begun, source):
                 wide = source.with_unmeasured(models[0].signature)
@@ -760,10 +769,10 @@ class _Search:
             best = none
         return _with_functions(model, lambda each: _quotients(each) <= best)
 
-    def _with_larger_library(self, states: tuple[str, ...] | None = None) -> None:
-        """Try signed squares, cubic functions, and roots of what is never negative, of fewest states first."""
-        near = sorted({each.states for each in self._near()}, key=len) if states is None else [states]
-        for states, what in product(near, ("signed squares", "cubic functions", "square roots")):
+    def _with_larger_library(self, candidates: Iterable[Candidate]) -> None:
+        """Try signed squares, cubic functions, and roots of what is never negative, of states first that predict best."""
+        sets = dict.fromkeys(each.states for each in sorted(candidates, key=lambda each: each.score))
+        for states, what in product(sets, ("signed squares", "cubic functions", "square roots")):
             of = min((each for each in self.tried if each.states == states), key=lambda each: each.score)
             if (id(of), what) in self.widened:
                 continue
