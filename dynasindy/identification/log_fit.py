@@ -770,7 +770,7 @@ class _Search:
         return _with_functions(model, lambda each: _quotients(each) <= best)
 
     def _with_larger_library(self, candidates: Iterable[Candidate]) -> None:
-        """Try signed squares, cubic functions, and roots of what is never negative, of states first that predict best."""
+        """Try signed squares, cubic functions, and roots of what is never negative, of the best states first."""
         sets = dict.fromkeys(each.states for each in sorted(candidates, key=lambda each: each.score))
         for states, what in product(sets, ("signed squares", "cubic functions", "square roots")):
             of = min((each for each in self.tried if each.states == states), key=lambda each: each.score)
