@@ -445,13 +445,12 @@ class _Search:
         for each in linear:
             firsts.setdefault(each.states, each)
         near = {states: each for states, each in firsts.items() if each.score < linear[0].score + HOPELESS}
-        by_size = sorted(near.values(), key=lambda each: len(each.states))  # what costs little first
-        for each in by_size:
+        for each in sorted(near.values(), key=lambda each: len(each.states)):  # what costs little first
             self._select(each)
             for model, source in structures if self.builder is not None else ():
                 if each.structure is model:
                     self._regressed(model, source)
-            if self.builder is not None and each is not by_size[-1]:
+            if self.builder is not None:
                 self._with_larger_library([each])
         beyond = [self._try_state_space]
         if linear and self.best.score > FAR_BEHIND:  # no function explains it
@@ -471,9 +470,7 @@ class _Search:
             self._with_larger_library(self._near())
             if self.best is not before:
                 self._windows(self.best)
-        if hidden := self._with_hidden_states(self.until, self._try_chains, *beyond):
-            self._windows_of_leaders(hidden)
-            self._with_larger_library(self._near())
+        self._with_hidden_states(self.until, self._try_chains, *beyond, windows=True)
 
     def _windows_of_leaders(self, candidates: Sequence[Candidate]) -> None:
         """Simulate the best of some candidates over longer windows, of two with the same equations the better one."""
@@ -632,19 +629,21 @@ class _Search:
                 break
         return best
 
-    def _with_hidden_states(self, until: float, *attempts: Callable[[float], None]) -> list[Candidate]:
-        """Try hidden states where a simple model predicts better, up to some CPU time [s]; return those worth keeping.
+    def _with_hidden_states(self, until: float, *attempts: Callable[[float], None], windows: bool = False) -> None:
+        """Try hidden states where a simple model predicts better, up to some CPU time [s]; drop them if it is chance.
 
-        They are none where the best of them is better by chance.
+        They are fitted in longer windows and get other functions, too, if that is asked for.
         """
         if self.builder is None or self.given.given_known is not None or not self.tried or self.best.score <= 0:
-            return []
+            return
         known, before = len(self.tried), self.best
         for attempt in attempts:
             attempt(until)
-        if self.best is not before and not self._clearly_better(self.best, before):
+        if windows and (hidden := [each for each in self._near() if each in self.tried[known:]]):
+            self._windows_of_leaders(hidden)
+            self._with_larger_library(self._near())
+        if self.best is before or not self._clearly_better(self.best, before):
             del self.tried[known:]
-        return [each for each in self._near() if each in self.tried[known:]]
 
     def _try_chains(self, until: float) -> None:
         """Try hidden states behind each state that a simple model predicts better; the other equations stay."""
