@@ -365,7 +365,7 @@ class _Search:
     tried: list[Candidate] = field(default_factory=list)
     began: float = field(default_factory=time.process_time)
     lag_seconds: float = 0.0
-    widened: set[tuple[int, str]] = field(default_factory=set)
+    varied: dict[tuple[int, str], Candidate] = field(default_factory=dict)
 
     @property
     def best(self) -> Candidate:
@@ -470,7 +470,7 @@ class _Search:
             self._with_larger_library(self._near())
             if self.best is not before:
                 self._windows(self.best)
-        self._with_hidden_states(self.until, self._try_chains, *beyond, windows=True)
+        self._with_hidden_states(self.until, self._try_chains, *beyond)
 
     def _windows_of_leaders(self, candidates: Sequence[Candidate]) -> None:
         """Simulate the best of some candidates over longer windows, of two with the same equations the better one."""
@@ -629,19 +629,17 @@ class _Search:
                 break
         return best
 
-    def _with_hidden_states(self, until: float, *attempts: Callable[[float], None], windows: bool = False) -> None:
-        """Try hidden states where a simple model predicts better, up to some CPU time [s]; drop them if it is chance.
-
-        They are fitted in longer windows and get other functions, too, if that is asked for.
-        """
+    def _with_hidden_states(self, until: float, *attempts: Callable[[float], None]) -> None:
+        """Try hidden states where a simple model predicts better, up to a CPU time [s]; drop them if it is chance."""
         if self.builder is None or self.given.given_known is not None or not self.tried or self.best.score <= 0:
             return
         known, before = len(self.tried), self.best
         for attempt in attempts:
             attempt(until)
-        if windows and (hidden := [each for each in self._near() if each in self.tried[known:]]):
+        if hidden := [each for each in self._near() if each in self.tried[known:]]:
             self._windows_of_leaders(hidden)
-            self._with_larger_library(self._near())
+            if until == self.until:
+                self._with_larger_library(self._near())
         if self.best is before or not self._clearly_better(self.best, before):
             del self.tried[known:]
 
@@ -773,9 +771,9 @@ class _Search:
         sets = dict.fromkeys(each.states for each in sorted(candidates, key=lambda each: each.score))
         for states, what in product(sets, ("signed squares", "cubic functions", "square roots")):
             of = min((each for each in self.tried if each.states == states), key=lambda each: each.score)
-            if (id(of), what) in self.widened:
+            if (id(of), what) in self.varied:
                 continue
-            self.widened.add((id(of), what))
+            self.varied[id(of), what] = of
             model = of.model
             known = {each.key for each in model.library.features}
             more = [each for each in self._functions(what, model) if each.key not in known]
@@ -809,6 +807,9 @@ class _Search:
 
     def _windows(self, of: Candidate) -> None:
         """Simulate over windows that grow, each fit begun where the one before ended."""
+        if (id(of), "windows") in self.varied:
+            return
+        self.varied[id(of), "windows"] = of
         last, best, worse, window = of, of, 0, SHORTEST
         longest = min(len(self.source.training) // 2, LONGEST)
         while window <= longest and worse <= WORSE:
