@@ -196,6 +196,15 @@ def test_turns_per_minute_that_are_the_slope_of_an_angle_are_read_in_radians(tmp
     assert kept.signature.state_units == ("deg", "rpm", "rpm")
 
 
+def test_samples_and_no_name_tell_which_turns_per_minute_move_an_angle(tmp_path):
+    path, swing = swinging(tmp_path / "log.csv", "time [s],angle [deg],motor [rpm],speed [rpm],u", 30 / math.pi)
+    found = LoggedData(path).recording(None)
+    assert found.signature.state_units == ("rad", "rad/s", "rpm")
+    assert found.transitions.x[:, :2].numpy() == pytest.approx(swing)
+    kept = LoggedData(path, {"angle": "angle", "motor": {"name": "motor", "unit": "rpm"}, "speed": "speed"})
+    assert kept.recording(None).signature.state_units == ("rad", "rpm", "rpm")
+
+
 @pytest.mark.parametrize(
     ("headings", "speed", "scale"),
     [
