@@ -87,9 +87,10 @@ FLOWN = 64
 """Targets that are flown to where no scenario is given."""
 MOST_ROWS = 4000
 """Rows of a log, at most, whose pushes models are flown under: ten samples each of the periods of a flight."""
-STATIC, SHARPER, STEPS = 2.0, 10.0, 100
-"""How much larger and sharper than in motion dry friction may be at rest, at most, and steps of a period that show it.
-Static friction is one to two times that of motion (Armstrong-Helouvry, Dupont and Canudas de Wit 1994)."""
+STATIC_FRICTION = 2.0
+"""Friction at rest by that in motion, at most: one to two (Armstrong-Helouvry, Dupont and Canudas de Wit 1994)."""
+SHARPER, STEPS, MOST_STEPS = 10.0, 100, 1000
+"""How much sharper than in the fit friction changes its sign, at most; steps of a control period that show it."""
 HALVES = 2
 """Stretches of a log that a model is fitted to again, to see what the log leaves open."""
 
@@ -204,8 +205,8 @@ def forecast(
 
     This is the verdict of `train.py data=csv`: nothing is promised where the model lacks something, or where flights
     leave what the log tells. Models get their inputs as late as the data say, and the policy has its integral action if
-    the controller does. A controller out of a file has forgotten where its targets lie and where episodes begin: give
-    it a scenario, and forecast it before it is saved.
+    the controller does. A controller out of a file has forgotten how long episodes are: give it a scenario, or forecast
+    it before it is saved.
 
     Args:
         controller: The controller.
@@ -241,12 +242,13 @@ def forecast(
     moved = torch.cat(known) if known else None
     found = Forecast.of(models or [model], env, policy, scenario, sensing, within, moved)
     found = replace(found, in_sample=not models)
-    if (rough := _with_static_friction((models or [model])[0], controller.dt)) is not None:
-        finer = ControlSetup(setup.task, setup.dt, max(STEPS, setup.substeps), setup.stops)
+    if (made := _with_static_friction((models or [model])[0], controller.dt)) is not None:
+        with_friction, steps = made
+        finer = ControlSetup(setup.task, setup.dt, max(steps, setup.substeps), setup.stops)
         finest = Controller(controller.policy, finer, controller.observer, controller.integral)
         env, policy, sensing = closed_loop(finest, model, setup.task, seed)
-        stuck = Forecast.of([rough], env, policy, scenario, sensing, within, moved)
-        found = replace(found, at_rest=stuck.flights)
+        flights = Forecast.of([with_friction], env, policy, scenario, sensing, within, moved).flights
+        found = replace(found, static_friction=flights)
     doubts = _doubts(model, log, LONGEST * controller.dt)
     doubts += [short] if (short := refit_shortage(model, log)) else []
     if found.evaluation is not None:
@@ -359,28 +361,30 @@ def _pushes(controller: Controller, model: SindyModel, data: Transitions) -> Ten
     return None
 
 
-def _with_static_friction(model: SindyModel, dt: float) -> SindyModel | None:
-    """Return a model with dry friction as it may be at rest, of which a log of motion tells little; None without any.
+def _with_static_friction(model: SindyModel, dt: float) -> tuple[SindyModel, int] | None:
+    """Return a model with dry friction as it may be at rest, of which a log of motion tells little, and its steps.
 
-    It may be up to twice as large there as in motion, and holds what a smooth function lets creep.
+    It may be up to twice as large there as in motion, and holds what a smooth function lets creep. None where there is
+    no dry friction, or where it would be another function or take too many steps.
     """
     rows = sorted({k for each in dry_friction(model) for k in each})
     if not rows:
         return None
-    features = list(model.library.features)
+    features, coefficients = list(model.library.features), model.coefficients.clone()
+    coefficients[rows] *= STATIC_FRICTION  # in all equations: what holds one part pulls at another
     steepest = max(f.frequency for k in rows for f in features[k].factors if f.function == "tanh")
-    steepest *= float(model.coefficients[rows].abs().sum(0).max()) * STATIC
-    sharper = min(max(STEPS * STABLE / (dt * steepest), 1.0), SHARPER)
+    needed = dt * steepest * float(coefficients[rows].abs().sum(0).max()) / STABLE
+    sharper = min(max(STEPS / needed, 1.0), SHARPER)
+    if (steps := math.ceil(max(needed * sharper, STEPS))) > MOST_STEPS:
+        return None
     for k in rows:
         factors = features[k].factors
         features[k] = Feature(
             tuple(replace(f, frequency=sharper * f.frequency) if f.function == "tanh" else f for f in factors)
         )
-    found, coefficients = copy.deepcopy(model), model.coefficients.clone()
-    coefficients[rows] *= STATIC
-    found.library = Library(model.signature, features, step=model.library.step)
-    found.coefficients = coefficients
-    return found
+    found = copy.deepcopy(model)
+    found.library, found.coefficients = Library(model.signature, features, step=model.library.step), coefficients
+    return (found, steps) if len(found.library) == len(features) else None  # else two have become one
 
 
 def _longest_stretch(data: Transitions) -> Transitions:

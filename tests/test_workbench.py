@@ -217,6 +217,14 @@ def test_dry_friction_may_hold_a_plant_at_rest_though_its_fit_creeps(write_log, 
     scenario = Scenario("step", Step([[-0.8], [0.5], [0.9]]), episodes=3, seconds=20.0)
     found = forecast(Controller(proportional, ControlSetup(task, 0.05)), model, log, scenario)
     band = 8 / 60 / 0.5 / 2  # of the error, in ranges of the targets
+    (best, worst), (flight,) = [(0.0, math.inf), found.static_friction]
+    for share, told in ((best, False), (worst, True)):
+        other = replace(found, static_friction=(replace(flight, share={"q": share}),))
+        assert told == ("forecast.static_friction" in {each.code for each in other.findings})
+    lost = replace(found, static_friction=(None,))
+    assert {each.code: each for each in lost.findings}["forecast.static_friction"].values["outputs"] == {
+        "q": (None, None)
+    }
     assert max(flight.worst["q"] for flight in found.flights) < 0.1 * band
     (stuck,) = (each for each in found.findings if each.code == "forecast.static_friction")
     assert 0.5 * band < stuck.values["outputs"]["q"][1] < 1.05 * band

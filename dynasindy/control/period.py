@@ -103,7 +103,7 @@ def _places(model: SindyModel, task: Tracking, log: Source | None) -> tuple[Tens
     places of the log in even steps of time. Without a log there is one, where episodes begin.
     """
     if log is None:
-        return task.start.double().mean(0, keepdim=True), torch.zeros(1, model.signature.n_u, dtype=torch.float64)
+        return task.start_ends.double().mean(0, keepdim=True), torch.zeros(1, model.signature.n_u, dtype=torch.float64)
     data = log.with_states_of(model).training
     middle, usual = _typical(data, model).mean(0), data.u.double().median(0).values
     seen = reconstruct(data, rate_states(model.library, model.constraints)).x

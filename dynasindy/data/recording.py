@@ -210,7 +210,7 @@ class LogReader:
             findings += self._of_file(part.path, said)
         data = pieces[0] if len(pieces) == 1 else Transitions.cat(pieces)
         for k, name in enumerate(states):
-            if given_units[name] == "-" and _turns_angle(data, k, [*states.values()]):
+            if given_units[name] == "-" and _is_angular_speed(data, k, [*states.values()]):
                 data.x[:, k], data.x_next[:, k], sizes[k] = RPM * data.x[:, k], RPM * data.x_next[:, k], RPM * sizes[k]
                 states[name] = replace(states[name], unit="rad/s", scale=RPM * states[name].scale)
         findings += _conversions(states)
@@ -635,7 +635,7 @@ def _with_units(
     return found
 
 
-def _turns_angle(data: Transitions, place: int, columns: Sequence[Column]) -> bool:
+def _is_angular_speed(data: Transitions, place: int, columns: Sequence[Column]) -> bool:
     """Tell whether a column in turns per minute moves a measured angle, one way or the other, as its rate does."""
     if columns[place].unit != "rpm":
         return False

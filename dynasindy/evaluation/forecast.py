@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -36,8 +37,8 @@ class Forecast:
         doubts: Why the models, though they agree, are not to be relied on.
         no_equilibrium: Which targets no input holds in the model of the plan; empty if all are held.
         seconds: Length of the flights [s]; None where it is not known.
-        at_rest: What models show whose dry friction at rest is larger than in motion, of which a log tells little:
-            promises leave them out, and findings say so.
+        static_friction: What a model shows whose dry friction at rest is larger than in motion, of which a log tells
+            little: promises leave it out, and a finding says so.
     """
 
     flights: tuple[TrackingCriteria | None, ...]
@@ -47,7 +48,7 @@ class Forecast:
     doubts: tuple[Finding, ...] = ()
     no_equilibrium: str = ""
     seconds: float | None = None
-    at_rest: tuple[TrackingCriteria | None, ...] = ()
+    static_friction: tuple[TrackingCriteria | None, ...] = ()
 
     @classmethod
     def of(
@@ -134,10 +135,11 @@ class Forecast:
         if flown:
             held, tracked = judge_control(flown, self.within, "forecast.tracked", seconds=self.seconds)
             findings.insert(0, tracked)
-            for stuck in self.at_rest:
-                ends = {n: (stuck.share[n], stuck.worst[n]) if stuck else (None, None) for n in flown[0].share}
-                told = tracked.values["outputs"]
-                if worse := {n: each for n, each in ends.items() if each[0] is None or each[0] > told[n]["most"]}:
+            told = tracked.values["outputs"]
+            for flight in self.static_friction:
+                ends = {name: (flight.share[name], flight.worst[name]) if flight else (None, None) for name in told}
+                means = {name: math.inf if mean is None else mean for name, (mean, _) in ends.items()}
+                if worse := {name: each for name, each in ends.items() if means[name] > told[name]["most"]}:
                     findings.append(note("forecast.static_friction", outputs=worse))
             stays = len(flown) == n and all(each["swings"] for each in tracked.values["away"].values())
             if held is False and stays and not self.doubts:  # something may help

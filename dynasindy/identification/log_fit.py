@@ -91,16 +91,16 @@ PRICES, SURE = (1.0, 2.0), 0.1
 HOPELESS = 1.0
 """Score behind the best one beyond which nothing dearer is tried of a candidate."""
 FAR_BEHIND = 0.5
-"""Score of equations with functions beyond which hidden states are tried before other functions."""
+"""Score of equations with functions beyond which hidden states are tried before states that follow a signal."""
 LEADERS = 3
 """Models that longer simulations are fitted by, those first that predict best."""
 MANY = 100
 """Functions up to which regressions choose among all of them, and beyond which those of one factor come first."""
-SHARE, HIDDEN, LARGEST_SHARE, LAST_SHARE = 0.25, 0.35, 0.5, 0.15
-"""Part of the time that states that follow a signal may take, hidden states of linear equations before other functions
-are tried, any one candidate, and the last fit."""
-COSTLY = 1 / 30
-"""Part of the time that the first candidate may take on one part, or no others are kept to judge on."""
+SHARE, HIDDEN_SHARE, LARGEST_SHARE, LAST_SHARE = 0.25, 0.35, 0.5, 0.15
+"""Part of the time that states that follow a signal may take, hidden states that are tried before them, any one
+candidate, and the last fit."""
+FIRST_SHARE = 1 / 30
+"""Part of the time that the first candidate may take on the first part, or no others are kept to judge on."""
 CUBIC = 6
 """States and inputs up to which cubic functions are tried."""
 ANGLES = frozenset({"rad", *TURNS})
@@ -313,7 +313,7 @@ class HoldOut:
         return bool(((errors <= RESOLVED * self.floor) | self.simple.isnan()).all())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """Hold a model that was fitted to the early part of the data, and how it predicts the kept one.
 
@@ -365,7 +365,7 @@ class _Search:
     tried: list[Candidate] = field(default_factory=list)
     began: float = field(default_factory=time.process_time)
     lag_seconds: float = 0.0
-    varied: dict[tuple[int, str], Candidate] = field(default_factory=dict)
+    variations: set[tuple[Candidate, str]] = field(default_factory=set)
 
     @property
     def best(self) -> Candidate:
@@ -447,30 +447,28 @@ class _Search:
         near = {states: each for states, each in firsts.items() if each.score < linear[0].score + HOPELESS}
         for each in sorted(near.values(), key=lambda each: len(each.states)):  # what costs little first
             self._select(each)
-            for model, source in structures if self.builder is not None else ():
-                if each.structure is model:
-                    self._regressed(model, source)
             if self.builder is not None:
-                self._with_larger_library([each])
-        beyond = [self._try_state_space]
-        if linear and self.best.score > FAR_BEHIND:  # no function explains it
-            self._with_hidden_states(
-                min(self.until, time.process_time() + HIDDEN * self.refinement.seconds), beyond.pop()
-            )
+                for model, source in structures:
+                    if each.structure is model:
+                        self._regressed(model, source)
+                self._try_larger_libraries([each])
+        if early := bool(linear) and self.best.score > FAR_BEHIND:  # no function explains it
+            until = time.process_time() + HIDDEN_SHARE * self.refinement.seconds
+            self._try_hidden_states(self._try_state_space, until=min(self.until, until))
         if linear and self.best.score > 0 and (lagging := self._with_lag_states(linear[0])) is not linear[0]:
             self._select(lagging)
         has_new_state = False
         if self.builder is not None and self.tried:
-            self._with_larger_library(self._near())
+            self._try_larger_libraries(self._near())
             before = self.best
             has_new_state = self._with_lag_states(before) is not before
         self._windows_of_leaders(self._near())
         if has_new_state:
             before = self.best
-            self._with_larger_library(self._near())
+            self._try_larger_libraries(self._near())
             if self.best is not before:
                 self._windows(self.best)
-        self._with_hidden_states(self.until, self._try_chains, *beyond)
+        self._try_hidden_states(self._try_chains, *[self._try_state_space] * (not early), until=self.until)
 
     def _windows_of_leaders(self, candidates: Sequence[Candidate]) -> None:
         """Simulate the best of some candidates over longer windows, of two with the same equations the better one."""
@@ -516,7 +514,8 @@ class _Search:
                 if not bool(moves.all()) or not has_clear_lags(fitted[-1]):
                     return None  # what moves by nothing is no equation, what moves nothing no state
                 errors.append(fold.errors(fitted[-1], source))
-                if not self.tried and time.process_time() - began > COSTLY * self.refinement.seconds:
+                first = not self.tried and len(errors) == 1
+                if first and time.process_time() - began > FIRST_SHARE * self.refinement.seconds:
                     self.folds = self.folds[:1]
                     break
                 hopeless = bool(self.tried) and fold.score(errors[-1]) > self.best.score + 2 * HOPELESS
@@ -629,25 +628,31 @@ class _Search:
                 break
         return best
 
-    def _with_hidden_states(self, until: float, *attempts: Callable[[float], None]) -> None:
+    def _try_hidden_states(self, *attempts: Callable[[float], None], until: float) -> None:
         """Try hidden states where a simple model predicts better, up to a CPU time [s]; drop them if it is chance."""
         if self.builder is None or self.given.given_known is not None or not self.tried or self.best.score <= 0:
             return
         known, before = len(self.tried), self.best
         for attempt in attempts:
-            attempt(until)
+            with _attempt():
+                attempt(until)
         if hidden := [each for each in self._near() if each in self.tried[known:]]:
             self._windows_of_leaders(hidden)
             if until == self.until:
-                self._with_larger_library(self._near())
+                self._try_larger_libraries(self._near())
         if self.best is before or not self._clearly_better(self.best, before):
             del self.tried[known:]
+
+    def _hidden_states(self, of: Candidate) -> list[str]:
+        """Return the states of a candidate that no sensor sees, but for rates and those that follow a signal."""
+        known = {*self.source.signature.state_names, *rates_of(of.model).values()}
+        return [name for name in of.states if name not in known]
 
     def _try_chains(self, until: float) -> None:
         """Try hidden states behind each state that a simple model predicts better; the other equations stay."""
         of, signature = self.best, self.source.signature
-        if of.structure is not None or signature.n_x == 1:
-            return  # it would be a linear model
+        if of.structure is not None or signature.n_x == 1 or self._hidden_states(of):
+            return  # it would be a linear model, or have some already
         pairs = zip(self.folds, of.errors, strict=False)
         ratios = torch.stack([fold.ratios(errors).nanmean(0) for fold, errors in pairs]).nanmean(0).nan_to_num()
         behind = dict(zip(of.source.signature.state_names, ratios.tolist(), strict=False))
@@ -766,14 +771,14 @@ class _Search:
             best = none
         return _with_functions(model, lambda each: _quotients(each) <= best)
 
-    def _with_larger_library(self, candidates: Iterable[Candidate]) -> None:
+    def _try_larger_libraries(self, candidates: Iterable[Candidate]) -> None:
         """Try signed squares, cubic functions, and roots of what is never negative, of the best states first."""
         sets = dict.fromkeys(each.states for each in sorted(candidates, key=lambda each: each.score))
         for states, what in product(sets, ("signed squares", "cubic functions", "square roots")):
             of = min((each for each in self.tried if each.states == states), key=lambda each: each.score)
-            if (id(of), what) in self.varied:
+            if (of, what) in self.variations:
                 continue
-            self.varied[id(of), what] = of
+            self.variations.add((of, what))
             model = of.model
             known = {each.key for each in model.library.features}
             more = [each for each in self._functions(what, model) if each.key not in known]
@@ -807,9 +812,9 @@ class _Search:
 
     def _windows(self, of: Candidate) -> None:
         """Simulate over windows that grow, each fit begun where the one before ended."""
-        if (id(of), "windows") in self.varied:
+        if (of, "windows") in self.variations:
             return
-        self.varied[id(of), "windows"] = of
+        self.variations.add((of, "windows"))
         last, best, worse, window = of, of, 0, SHORTEST
         longest = min(len(self.source.training) // 2, LONGEST)
         while window <= longest and worse <= WORSE:
@@ -847,10 +852,10 @@ class _Search:
         model.memory = self.folds[0].memory(best.model, best.source)
         seconds = self.folds[0].steps[-1] * data.dt
         findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), what=best.what, seconds=seconds)]
-        added = [name for name in best.states if name not in self.source.signature.state_names]
-        if hidden := [name for name in added if name not in rates_of(best.model).values()]:
+        known = self.source.signature.state_names
+        if hidden := self._hidden_states(best):
             findings.append(note("fit.hidden_states", states=hidden))
-        if rates := [name for name in added if name not in hidden]:
+        if rates := [name for name in best.states if name not in known and name not in hidden]:
             findings.append(note("fit.added_rates", states=rates, known={}))
         if (count := int(rows.sum())) < len(data):
             stretches = int((rows.long().diff(prepend=torch.zeros(1, dtype=torch.long)) > 0).sum())

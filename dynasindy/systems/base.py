@@ -236,10 +236,10 @@ class Signature:
 
     def headings(self, names: Sequence[str]) -> list[str]:
         """Return headings of a table over time: `time [s]`, `alpha_a [rad]`, `reference_alpha_a [rad]`, `u_a [-]`."""
-        units = {**dict(zip(self.state_names, self.state_units, strict=True)), "time": "s"}
-        return [
-            f"{name} [{units.get(name.removeprefix('reference_').removeprefix('predicted_'), '-')}]" for name in names
-        ]
+        units = {"time": "s"}
+        for name, unit in zip(self.state_names, self.state_units, strict=True):
+            units = {f"reference_{name}": unit, f"predicted_{name}": unit} | units | {name: unit}
+        return [f"{name} [{units.get(name, '-')}]" for name in names]
 
     def in_own_units(self, u: ArrayLike) -> NDArray[np.float64]:
         """Return inputs of [-1, 1], `(*batch, n_u)`, in the units of their actuators."""

@@ -198,7 +198,9 @@ def test_a_state_that_follows_begins_beside_what_it_follows_unless_its_start_is_
     def begun(start, typical=None):
         task = Tracking(oven, Step([[0.0]]), **ends, start=start).following({1: 0})
         task = task if typical is None else task.as_logged(torch.tensor(typical))
-        return task.initial_state(torch.Size((300,)), torch.Generator().manual_seed(0))
+        x, (low, high) = task.initial_state(torch.Size((300,)), torch.Generator().manual_seed(0)), task.start_ends
+        assert ((low <= x) & (x <= high)).all()
+        return x
 
     x = begun({"T": [20.0, 60.0]})
     assert torch.equal(x[:, 0], x[:, 1]) and x[:, 0].min() < 21 and x[:, 0].max() > 59

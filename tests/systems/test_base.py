@@ -11,6 +11,14 @@ from dynasindy.systems import Altered, BlackBox, Signature, Tras, integrate
 from dynasindy.systems.base import sample_states
 
 
+def test_headings_have_the_units_of_the_states_whatever_these_are_called():
+    signature = Signature(("T", "reference_level"), ("K", "m"), ("u",), (1.0, 1.0))
+    names = ["time", "reference_T", "reference_level", "predicted_reference_level", "u"]
+    assert signature.headings(names) == [
+        f"{name} [{unit}]" for name, unit in zip(names, ("s", "K", "m", "m", "-"), strict=True)
+    ]
+
+
 def test_signatures_are_alike_whatever_their_ranges():
     one = Signature(("x", "v"), ("m", "m/s"), ("u",), (1.0, 2.0))
     assert one.alike(Signature(("x", "v"), ("m", "m/s"), ("u",), (9.0, 0.1)))
