@@ -349,9 +349,10 @@ def _pushes(controller: Controller, model: SindyModel, data: Transitions) -> Ten
     watched.delay = 0.0
     observer.model, observer.dt, observer.substeps = watched, late.dt, watched.substeps(late.dt, STABLE)
     stride = round(controller.dt / late.dt)
-    if len(late) < stride:
+    # Of the states that no sensor sees, the first samples tell less than those after as many as there are states.
+    begins = torch.arange(late.x.shape[-1], len(late) - stride + 1, stride)
+    if not len(begins):
         return None
-    begins = torch.arange(0, len(late) - stride + 1, stride)
     with suppress(Diverged):
         u, u_end = late.inputs_of(torch.arange(len(late)))
         x = observer.smooth(torch.cat([late.x[:1], late.x_next]), u if u_end is None else 0.5 * (u + u_end))
