@@ -600,6 +600,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "check.disk_margin": _margin("{}"),
     "control.thin_margin": "the loop has a disk margin of {value:.2g} at ({target:list}), by {input}, where {limit:g} "
     "or more is robust: a check tells more of it, and what helps",
+    "control.dry_friction": "margins are those of movements of a hundredth of the ranges, which the dry friction of "
+    "{states:list} damps; larger ones may stand less delay and gain",
     "check.noise": lambda known=True, **facts: _fill(NOISE if known else NO_NOISE, facts),
     "check.steady_error": "in steps from {begin} at most {error:.3g}{unit:unit} of {output}; threshold: "
     "{limit:.3g}{unit:unit}",

@@ -16,6 +16,7 @@ from dynasindy.control import Controller
 from dynasindy.evaluation.closed_loop import PERIODS, ClosedLoop, LoopSimulation
 from dynasindy.evaluation.linear_loop import NEUTRAL, Array, Margins, RestingLoop, find_rest, loop_margins
 from dynasindy.findings import Finding, note, records, weak, wrong
+from dynasindy.identification.verdict import dry_friction
 from dynasindy.planning.margins import MOVEMENT
 from dynasindy.progress import reporting_as, track
 from dynasindy.safe_io import checked_class
@@ -447,6 +448,9 @@ def check_verdict(found: Check, thresholds: Thresholds | None = None) -> list[Fi
     findings = [_stability(found, limits)]
     if any(found.margins):
         findings += [*_margins(found, limits), _noise(found, limits)]
+        pairs = zip(found.loop.signature.state_names, dry_friction(found.loop.model), strict=True)
+        if rubbing := [name for name, rows in pairs if rows]:
+            findings.append(note("control.dry_friction", known=False, states=rubbing))
     findings += [*_steps(found, limits), *_coefficients(found, limits)]
     if found.planes:
         shares = {" and ".join(plane.names): plane.share for plane in found.planes}

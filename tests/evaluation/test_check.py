@@ -58,6 +58,7 @@ def test_what_is_tried_by_default_is_what_the_command_tries():
 
 def test_a_record_is_json_of_what_was_found():
     found = check(make_loop(model=make_cart(spring=1.0), observer={}), SMALL)
+    assert "control.dry_friction" not in {each.code for each in check_verdict(found)}
     held = json.loads(json.dumps(check_record(found), allow_nan=False))
     assert [row["target"]["p"] for row in held["targets"]] == pytest.approx([-0.4, 0.0, 0.4])
     assert all(row["stable"] and row["rests"] for row in held["targets"])
@@ -148,6 +149,8 @@ def test_carts_on_rails_of_their_own_are_judged_together_as_each_alone():
     both, alone = checked("a", "b"), {name: checked(name) for name in "ab"}
     assert both.targets.tolist() == [[-0.4, 0.2], [-0.4, 0.5], [0.6, 0.2], [0.6, 0.5]]
     assert both.stable.all() and all(found.stable.all() for found in alone.values())
+    (told,) = (each for each in check_verdict(both) if each.code == "control.dry_friction")
+    assert told.values["states"] == ["v_a", "v_b"]
     close = {"rtol": 1e-5, "atol": 1e-6}
     for i, found in enumerate(alone.values()):
         mine = [2 * i, 2 * i + 1]
