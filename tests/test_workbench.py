@@ -230,6 +230,36 @@ def test_dry_friction_may_hold_a_plant_at_rest_though_its_fit_creeps(write_log, 
     assert 0.5 * band < stuck.values["outputs"]["q"][1] < 1.05 * band
 
 
+def test_a_log_that_begins_in_motion_shows_no_push_where_none_was(write_log, tmp_path):
+    """A motor with dry friction, w' = 60 u - 8 w - 4 tanh(50 w), by its encoder alone."""
+    rng, q, w, rows = np.random.default_rng(0), 0.0, 7.0, []
+    for k in range(1200):
+        if k % 25 == 0:
+            u = rng.uniform(0.6, 1.0) * (-1) ** (k // 300)
+        rows.append([q, math.nan, u])
+        for _ in range(40):
+            w += 0.00025 * (60 * u - 8 * w - 4 * math.tanh(50 * w))
+            q += 0.00025 * w
+    rows = torch.tensor(rows, dtype=torch.float64)
+    rows[:, 0] += 1e-3 * torch.from_numpy(rng.standard_normal(len(rows)))
+    log = dynasindy.read(write_log(tmp_path / "log.csv", ["q [rad]", "u"], rows[:, ::2]))
+    signature = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 7.0))
+    model = SindyModel(signature, ["u", "w", "tanh(50 w)"], known={"q": "w"})
+    model.set_coefficients(torch.tensor([[0.0, 60.0], [1.0, -8.0], [0.0, -4.0]], dtype=torch.float64))
+    task = dynasindy.workbench.tracking_task(model, {"q": (-1.0, 1.0)})
+
+    def proportional(tensordict):
+        x, wanted = tensordict["state"], tensordict["reference"]
+        return tensordict.set("action", (0.5 * (wanted - x[..., :1]) - 0.05 * x[..., 1:]).clamp(-1, 1).float())
+
+    setup = ControlSetup(task, 0.05)
+    observer = Observer(model, Sensors({"q": Channel(noise=1e-3)}, rates={"q": "w"}), setup)
+    observer.learn(rows[:1201:5, :2], rows[:-5:5, 2:])
+    scenario = Scenario("step", Step([[-0.8], [0.5], [0.9]]), episodes=3, seconds=20.0)
+    found = forecast(Controller(proportional, setup, observer), model, log, scenario)
+    assert max(flight.worst["q"] for flight in found.flights) < 0.03
+
+
 def test_nothing_is_promised_by_a_log_of_which_nothing_was_kept(exact):
     alone = Source.of(Recording(exact.whole, exact.signature), 0)
     model = dynasindy.identify(alone, WORDS, {"theta": "Omega"}, "one_step")
