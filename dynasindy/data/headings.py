@@ -57,8 +57,6 @@ COMMAND = re.compile(r"(.*[_ ])?(cmd|command|input)([_ \d].*)?")
 """How they may be called where none is called so: beside an input, a command may be a target."""
 RATE_NAMES = ("{}_rate", "{}_dot", "{}dot", "d{}", "d_{}", "der_{}", "{}_vel", "{}_velocity", "{}_speed")
 """How the rate of a state is called."""
-PLAIN_RATES = ("rate", "velocity", "speed")
-"""What a rate is called that may be that of any state, where no unit says so."""
 
 
 def split_unit(heading: str) -> tuple[str, str]:

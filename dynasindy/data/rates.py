@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from dynasindy.data.headings import PLAIN_RATES, is_rate_of
+from dynasindy.data.headings import is_rate_of
 from dynasindy.findings import Finding, LogError, weak
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -19,6 +19,8 @@ from dynasindy.systems.transitions import Transitions
 if TYPE_CHECKING:
     from dynasindy.data.columns import Column
 
+PLAIN_RATES = ("rate", "velocity", "speed")
+"""What a rate is called that may be that of any state, where no unit says so."""
 CLEAR = 3.0
 """Factor between slope and rate, either way, from which on a unit is wrong: no filter or noise makes as much."""
 TIED = 0.95

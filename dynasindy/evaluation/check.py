@@ -449,8 +449,8 @@ def check_verdict(found: Check, thresholds: Thresholds | None = None) -> list[Fi
     if any(found.margins):
         findings += [*_margins(found, limits), _noise(found, limits)]
         pairs = zip(found.loop.signature.state_names, dry_friction(found.loop.model), strict=True)
-        if rubbing := [name for name, rows in pairs if rows]:
-            findings.append(note("control.dry_friction", known=False, states=rubbing))
+        if states := [name for name, functions in pairs if functions]:
+            findings.append(note("control.dry_friction", known=False, states=states))
     findings += [*_steps(found, limits), *_coefficients(found, limits)]
     if found.planes:
         shares = {" and ".join(plane.names): plane.share for plane in found.planes}

@@ -468,7 +468,8 @@ class _Search:
             self._try_larger_libraries(self._near())
             if self.best is not before:
                 self._windows(self.best)
-        self._try_hidden_states(self._try_chains, *[self._try_state_space] * (not early), until=self.until)
+        late = [self._try_chains] if early else [self._try_chains, self._try_state_space]
+        self._try_hidden_states(*late, until=self.until)
 
     def _windows_of_leaders(self, candidates: Sequence[Candidate]) -> None:
         """Simulate the best of some candidates over longer windows, of two with the same equations the better one."""
@@ -638,7 +639,7 @@ class _Search:
                 attempt(until)
         if hidden := [each for each in self._near() if each in self.tried[known:]]:
             self._windows_of_leaders(hidden)
-            if until == self.until:
+            if until == self.until:  # else lag states come before
                 self._try_larger_libraries(self._near())
         if self.best is before or not self._clearly_better(self.best, before):
             del self.tried[known:]
