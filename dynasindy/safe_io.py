@@ -32,8 +32,6 @@ LARGEST = 100_000_000
 """Size beyond which no file is read [bytes]; the longest log of the paper's experiment has a hundredth of it."""
 LONGEST = 200
 """Letters that a name of a file may have."""
-NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
-"""With these flags a file is opened itself, byte by byte, or not at all."""
 Row = dict[str, Any]
 
 
@@ -157,15 +155,13 @@ def read_rows(path: Path) -> list[Row]:
         return []
     text = read_text(path)
     with reading(path):
-        table = csv.DictReader(StringIO(text, newline=""), strict=True)
-        rows, header = list(table), table.fieldnames or []
+        header, *rows = [*csv.reader(StringIO(text, newline=""), strict=True)] or [[]]
         if not header or len(set(header)) < len(header):
             raise _damaged(path, "its first line is no line of different headings")
-        for place, row in enumerate(rows, 1):
-            cells = len(header) + len(row.get(None, ())) - [*row.values()].count(None)
-            if cells != len(header):
-                raise _damaged(path, f"row {place} has {cells} cells; allowed are {len(header)}, one for each heading")
-        return rows
+        for place, row in enumerate(filled := [row for row in rows if row], 1):
+            if len(row) != len(header):
+                raise _damaged(path, f"row {place} has {len(row)} cells; allowed are {len(header)}, one a heading")
+        return [dict(zip(header, row, strict=True)) for row in filled]
 
 
 @contextmanager
@@ -182,46 +178,30 @@ def replace_file(path: str | Path) -> Iterator[BinaryIO]:
     """
     path = Path(path)
     temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
+    if path.is_symlink():
+        raise LinkError(path)
+    if path.exists() and not (path.is_file() or path.is_dir()):  # of a folder the system says so
+        raise FileError(f"{path} is no file, and nothing can take its place; give another name")
+    path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        if path.is_symlink():
-            raise LinkError(path)
-        if path.exists() and not (path.is_file() or path.is_dir()):  # of a folder the system says so
-            raise FileError(f"{path} is no file, and nothing can take its place; give another name")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK, 0o666)
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                yield file
-                # What is not on the disk when it is renamed may be an empty file after a power cut.
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
-        _sync(path.parent)
-    except OSError as error:
-        if error.filename in (None, str(temporary)):  # a full disk does not say whose file found no room
+        with temporary.open("xb") as file:  # a file of its own, not one that stands there, nor where a link leads
+            yield file
+            # What is not on the disk when it is renamed may be an empty file after a power cut.
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException as error:
+        temporary.unlink(missing_ok=True)
+        # A full disk does not say whose file found no room.
+        if isinstance(error, OSError) and error.filename in (None, str(temporary)):
             error.filename = str(path)
         raise
 
 
-def _sync(folder: Path) -> None:
-    """Have the names in a folder written to the disk, where the system can."""
-    if not hasattr(os, "O_DIRECTORY"):
-        return
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
 def remove_leftovers(folder: Path) -> None:
     """Remove what writers that were killed have left in a folder in which nobody writes now."""
-    for path in folder.glob(".*.tmp"):
-        if re.fullmatch(r"\.[0-9a-f]{16}\.tmp", path.name):
-            path.unlink(missing_ok=True)
+    for path in folder.glob(f".{'[0-9a-f]' * 16}.tmp"):
+        path.unlink(missing_ok=True)
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -209,20 +210,15 @@ def _rows(targets: Targets, outputs: Sequence[str]) -> list[list[float]]:
             f"targets are of {', '.join(map(str, targets)) or 'nothing'}; give where each of {', '.join(outputs)} is "
             f"to be{next(hints, '')}"
         )
-    try:
+    with suppress(TypeError, ValueError):  # lists of different lengths, or no numbers
         if isinstance(targets, Mapping):
-            rows = np.stack(
-                np.broadcast_arrays(*(np.atleast_1d(np.asarray(targets[name], float)) for name in outputs)), -1
-            )
-        else:
-            rows = np.atleast_2d(np.asarray(targets, float))
-    except (TypeError, ValueError):  # lists of different lengths, or no numbers
-        rows = np.empty(0)
-    if rows.ndim != 2 or rows.shape[1] != len(outputs) or not np.isfinite(rows).all():
-        raise ValueError(
-            f"targets are {targets}; give a finite number for each of {', '.join(outputs)}, or as many for each run"
-        )
-    return [[float(value) for value in row] for row in rows]
+            targets = np.stack(np.broadcast_arrays(*(targets[name] for name in outputs)), -1)
+        rows = np.atleast_2d(np.asarray(targets, float))
+        if rows.ndim == 2 and rows.shape[1] == len(outputs) and np.isfinite(rows).all():
+            return rows.tolist()
+    raise ValueError(
+        f"targets are {targets}; give a finite number for each of {', '.join(outputs)}, or as many for each run"
+    )
 
 
 def _array(values: Tensor) -> Array:

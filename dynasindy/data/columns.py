@@ -206,7 +206,7 @@ def infer(
         kinds |= {name: "counter" for name in moves if _keeps_time(table.column(columns[name].name), t)}
     for name, kind in kinds.items():
         if kind in ("words", "dates") and (name in driving or (inputs is None and INPUT.fullmatch(name))):
-            raise LogError("log.worded_column", file=path, column=name, text=table.words[columns[name].name].text)
+            raise LogError("log.worded_column", file=path, column=name, text=table.words[columns[name].name]["text"])
         if kind == "empty" and name in named:
             raise LogError("log.column_without_numbers", file=path, column=name)
     if dt is not None and not timed:  # even rows, unless a column may be a time by another name

@@ -106,8 +106,7 @@ def _read_text(path: Path, file: TextIO) -> Raw:
             raise _open_quote(path, int(broken.idxmax()))
         if decimal == ",":
             frame[column] = texts.str.replace(",", ".", regex=False)
-    if frame[0].hasnans:
-        frame = frame[~frame.isna().all(axis=1)]
+    frame = frame.dropna(how="all")
     beyond = frame.iloc[:, len(headings) :].notna().any(axis=1)
     if beyond.any():
         line = int(beyond.idxmax())
@@ -243,29 +242,20 @@ def _of_columns(tree: Mapping[str, Any], path: Path) -> Raw:
     """Return the arrays of one length, the commonest, of nested structures."""
     flat = dict[str, NDArray[Any]]()
     for name, values in _flatten(tree):
-        if values.dtype.kind in "biufMcSU" and len(values) > 1:
+        if values.dtype.kind in "biufMmcSU" and len(values) > 1:
             _put(flat, name, values)
-    lengths = Counter(len(values) for values in flat.values() if values.dtype.kind in "biufM")
+    lengths = Counter(len(values) for values in flat.values() if values.dtype.kind in "biufMm")
     if not lengths:
         raise ValueError(f"{path} holds no arrays of numbers; allowed are variables of one length: save the log so")
     length = max(lengths, key=lambda size: (lengths[size], size))
-    kept = {
-        name: np.append(_as_number(values), np.nan)[:length]
-        for name, values in flat.items()
-        if abs(len(values) - length) <= 1 and values.dtype.kind != "c"  # a spectrum is as long as its signal
-    }
+    kept = dict[str, pd.Series]()
+    for name, values in flat.items():
+        if abs(len(values) - length) <= 1 and (kind := values.dtype.kind) != "c":  # a spectrum is as long as its signal
+            text = np.char.decode(values, "utf-8", "replace") if kind == "S" else values
+            kept[name] = pd.Series(text if kind in "MmSU" else values.astype(np.float64))
     other = [f"{name} ({len(values)})" for name, values in flat.items() if name not in kept]
-    frame = pd.DataFrame(kept, index=pd.RangeIndex(1, 1 + length))
+    frame = pd.DataFrame(kept).reindex(range(length)).set_axis(pd.RangeIndex(1, 1 + length))
     return frame, [note("log.other_lengths", length=length, names=other)] if other else []
-
-
-def _as_number(values: NDArray[Any]) -> NDArray[Any]:
-    """Return numbers, seconds of dates, or text, which may hold dates."""
-    if values.dtype.kind in "Mm":
-        return np.where(np.isnat(values), np.nan, values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64) / 1e9)
-    if values.dtype.kind == "S":
-        return np.char.decode(values, "utf-8", "replace")
-    return values if values.dtype.kind == "U" else values.astype(np.float64)
 
 
 def _flatten(tree: Any, name: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
@@ -341,11 +331,7 @@ def _read_npz(path: Path) -> Raw:
 def _of_frame(frame: pd.DataFrame) -> Raw:
     if frame.index.name or not isinstance(frame.index, pd.RangeIndex):
         frame = frame.reset_index(names=frame.index.name or ("time" if frame.index.dtype.kind in "Mm" else "index"))
-    columns = {
-        str(name): _as_number(column.to_numpy(f"{column.dtype.kind}8[ns]")) if column.dtype.kind in "Mm" else column
-        for name, column in frame.items()
-    }
-    return pd.DataFrame(columns).set_axis(pd.RangeIndex(1, 1 + len(frame))), []
+    return frame.rename(columns=str).set_axis(pd.RangeIndex(1, 1 + len(frame))), []
 
 
 def _read_excel(path: Path) -> Raw:

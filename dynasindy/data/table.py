@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -42,29 +43,20 @@ def correct_map() -> str:
 
 
 @dataclass(frozen=True)
-class _Words:
-    """Cells of a column that are no numbers: the line and text of the first one, and how many there are."""
-
-    line: int
-    text: str
-    count: int
-
-
-@dataclass(frozen=True)
 class Table:
     """Hold columns of a file.
 
     Attributes:
         path: The file.
         frame: Numbers below the headings of the file, NaN of what is none; the index holds the line of each row.
-        words: Cells that hold something else than a number, by heading.
+        words: Cells that hold something else than a number, by heading: line and text of the first one, and the count.
         dated: Headings of columns that hold dates, in seconds.
         findings: What was decided.
     """
 
     path: Path
     frame: pd.DataFrame
-    words: Mapping[str, _Words]
+    words: Mapping[str, dict[str, Any]]
     dated: frozenset[str] = frozenset()
     findings: tuple[Finding, ...] = ()
 
@@ -145,14 +137,12 @@ class Table:
         words = {h: whole.words[h] for h in frame if h in whole.words and (h != first or h not in whole.dated)}
         for heading in frame.columns[frame.isna().all()] if len(frame) else ():
             if heading in words:
-                raise LogError("log.worded_column", file=str(self.path), column=heading, text=words[heading].text)
+                raise LogError("log.worded_column", file=str(self.path), column=heading, text=words[heading]["text"])
             raise LogError("log.column_without_numbers", file=str(self.path), column=heading)
-        said = [
-            (weak if w.count > MANY * len(frame) else note)(
-                "log.words", line=w.line, column=h, text=w.text, count=w.count
-            )
-            for h, w in words.items()
-        ]
+        said = (
+            (weak if cells["count"] > MANY * len(frame) else note)("log.words", column=heading, **cells)
+            for heading, cells in words.items()
+        )
         return replace(whole.edit(frame, {}, *said), words=words, dated=whole.dated & {first})
 
 
@@ -161,7 +151,7 @@ def _read(path: Path, changed: int, size: int) -> Table:
     raw, findings = read_file(path)
     raw, findings = _with_signals_apart(raw, findings)
     headings = _plain_headings([" ".join(str(heading).split()) for heading in raw.columns])
-    values, words, dated = np.empty((len(headings), len(raw))), dict[str, _Words](), set[str]()
+    values, words, dated = np.empty((len(headings), len(raw))), dict[str, dict[str, Any]](), set[str]()
     kept = list[int]()
     for k, heading in enumerate(headings):
         column, wrong, is_date = _numbers(raw.iloc[:, k])
@@ -294,10 +284,12 @@ def counts(column: Array, step: float = 1.0) -> bool:
     return bool((np.diff(column[rows]) == step * np.diff(rows)).mean() > 0.9)
 
 
-def _numbers(cells: pd.Series) -> tuple[Array, _Words | None, bool]:
+def _numbers(cells: pd.Series) -> tuple[Array, dict[str, Any] | None, bool]:
     """Return cells as numbers, the words in them, and whether these are dates, which become seconds."""
     if cells.dtype.kind in "biuf":
         return cells.to_numpy(dtype=np.float64), None, False
+    if cells.dtype.kind in "Mm":
+        return _since_1970(pd.to_datetime(cells, utc=True) if cells.dtype.kind == "M" else cells), None, True
     text = cells.astype("string").str.strip()
     numbers = pd.to_numeric(text, errors="coerce").to_numpy(np.float64, na_value=np.nan)
     switched = text.str.lower().map(SWITCHED)
@@ -307,7 +299,7 @@ def _numbers(cells: pd.Series) -> tuple[Array, _Words | None, bool]:
     if not len(worded):
         return numbers, None, False
     first = str(worded.iloc[0])
-    words = _Words(int(worded.index[0]), first[:40], len(worded))
+    words = {"line": int(worded.index[0]), "text": first[:40], "count": len(worded)}
     dates = _seconds(text) if np.isnan(numbers).all() and re.search(r"[^\d.,]", first) else numbers
     is_date = dates is not numbers and bool(np.isfinite(dates).any())
     return dates if is_date else numbers, words, is_date
