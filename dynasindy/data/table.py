@@ -143,7 +143,7 @@ class Table:
             (weak if cells["count"] > MANY * len(frame) else note)("log.words", column=heading, **cells)
             for heading, cells in words.items()
         )
-        return replace(whole.edit(frame, {}, *said), words=words, dated=whole.dated & {first})
+        return replace(whole.edit(frame, {}, *said), dated=whole.dated & {first})
 
 
 @lru_cache(maxsize=2)

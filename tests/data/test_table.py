@@ -8,7 +8,7 @@ import pytest
 
 from dynasindy.data.headings import in_radians
 from dynasindy.data.table import Table
-from dynasindy.findings import LogError
+from dynasindy.findings import LogError, weak
 from dynasindy.identification.identify import LoggedData
 
 
@@ -26,9 +26,9 @@ def test_cells_headings_and_lines_are_those_of_the_file(tmp_path):
 def test_text_in_a_column_of_numbers_is_told_with_its_line(tmp_path):
     """What is empty or nan was not measured, and is no text."""
     table = Table.read(write(tmp_path, "time,a [m],b\n0,1,5\n1,off,nan\n2,,6\n3,ERR 4,7\n4,1,2\n"))
-    table = table.select(["time", "a", "b"])
-    assert {heading: (w.line, w.text, w.count) for heading, w in table.words.items()} == {"a [m]": (3, "off", 2)}
-    assert Table.read(write(tmp_path, "time,a\n2024-02-28 23:59:59,1\n")).select(["time", "a"]).words == {}
+    found = table.select(["time", "a", "b"]).findings
+    assert found == (weak("log.words", line=3, column="a [m]", text="off", count=2),)
+    assert not Table.read(write(tmp_path, "time,a\n2024-02-28 23:59:59,1\n")).select(["time", "a"]).findings
 
 
 @pytest.mark.parametrize(
