@@ -591,14 +591,10 @@ def _packed(values: Tensor) -> str:
 
 
 def _unpacked(text: str, *shape: int) -> Tensor:
-    wanted = math.prod(shape)
-    # Four letters hold three bytes; the length alone tells how many weights there are, before any is decoded.
-    count = (len(text) // 4 * 3 - text[-2:].count("=")) // 4
-    packed = base64.b64decode(text, validate=True) if count == wanted else b""
-    values = np.frombuffer(packed[: len(packed) // 4 * 4], "<f4")
+    values, wanted = np.frombuffer(base64.b64decode(text, validate=True), "<f4").astype(np.float32), math.prod(shape)
     if values.size != wanted or not np.isfinite(values).all():
-        raise ValueError(f"its policy has {count} weights where {wanted} finite ones belong")
-    return torch.from_numpy(values.astype(np.float32)).reshape(shape)
+        raise ValueError(f"its policy has {values.size} weights where {wanted} finite ones belong")
+    return torch.from_numpy(values).reshape(shape)
 
 
 def _number(value: object, low: float = -math.inf) -> float:

@@ -359,8 +359,7 @@ class Observer:
 
     def state_dict(self) -> dict[str, Any]:
         """Return what was learnt, the model apart."""
-        ranges = self.scale[self.n_x :].tolist()
-        return {"process_noise": self.q.tolist(), "nis": self.nis, **({"push_ranges": ranges} if ranges else {})}
+        return {"process_noise": self.q.tolist(), "nis": self.nis, "push_ranges": self.scale[self.n_x :].tolist()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned.

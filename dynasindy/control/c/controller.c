@@ -4,7 +4,7 @@
  *   ahead              it predicts to the time at which the next input arrives at the plant
  *   counteract         what the estimated push would do is taken out of the state, and added to the input
  *   layer              u = tanh(W LeakyReLU(...) + b) of the scaled state and error, shifted by the integral
- *   integrate          the integral takes in the error
+ *   last               the integral takes in the error
  *
  * as far as the controller has them. */
 #include "{{ name }}.h"
@@ -31,6 +31,10 @@ static const double scale[NX] = { {{- signature.x_scale | numbers -}} };
 static const int output[NR] = { {{- task.outputs | join(", ") -}} };
 /* Extents of their targets. */
 static const double box[NR] = { {{- task.boxes() | numbers -}} };
+@ if integral
+/* Places of their rates, -1 where there is none. */
+static const int moves[NR] = { {{- moves | join(", ") -}} };
+@ endif
 /* Of the inputs. */
 static const double least[NU] = { {{- task.input_limits[0] | numbers -}} };
 static const double most[NU] = { {{- task.input_limits[1] | numbers -}} };
@@ -72,24 +76,6 @@ static void layer(const float *w, const float *b, const float *x, float *y, int 
     }
 }
 
-@ if integral
-/* ---- The integral action ---- */
-
-/* I += gain dt e where e is a steady error: none beyond the band, and of one that moves less. */
-static void integrate({{ name }}_state *s, const double x[NX], const double r[NR], const double rate[NR])
-{
-    static const int moves[NR] = { {{- moves | join(", ") -}} }; /* rates of the tracked states, -1 where there is none */
-    int i;
-    for (i = 0; i < NR; i++) {
-        const double error = (r[i] - x[output[i]]) / box[i];
-        const double moving = moves[i] < 0 ? 0.0 : (rate[i] - x[moves[i]]) / box[i] / {{ integral.rate | number }};
-        if (fabs(error) < {{ integral.band | number }})
-            s->integral[i] += {{ integral.gain | number }} * {{ dt }} * error / (1.0 + moving * moving);
-        s->integral[i] = fmax(-{{ integral.limit | number }}, fmin(s->integral[i], {{ integral.limit | number }}));
-    }
-}
-
-@ endif
 /* ---- The controller ---- */
 
 void {{ name }}_reset({{ name }}_state *s)
@@ -150,7 +136,13 @@ int {{ name }}_act({{ name }}_state *s, const double y[NX], const double r[NR], 
     layer(w{{ loop.index0 }}, b{{ loop.index0 }}, {{ loop.cycle("a, b", "b, a") }}, {{ w.shape[1] }}, {{ w.shape[0] }}, {{ loop.last | int }});
 @ endfor
 @ if integral
-    integrate(s, x, r, slope);
+    for (i = 0; i < NR; i++) { /* I += gain dt e of a steady error: none beyond the band, and of one that moves less */
+        const double error = (r[i] - x[output[i]]) / box[i];
+        const double moving = moves[i] < 0 ? 0.0 : (slope[i] - x[moves[i]]) / box[i] / {{ integral.rate | number }};
+        if (fabs(error) < {{ integral.band | number }})
+            s->integral[i] += {{ integral.gain | number }} * {{ dt }} * error / (1.0 + moving * moving);
+        s->integral[i] = fmax(-{{ integral.limit | number }}, fmin(s->integral[i], {{ integral.limit | number }}));
+    }
 @ endif
     for (i = 0; i < NU; i++) {
         found[i] = tanh((double){{ "b" if weights | length is odd else "a" }}[i]);

@@ -14,28 +14,19 @@ static void stop(double *position, double *rate, double low, double high)
 }
 
 @ endif
-@ if model.step is none
-/* Move states on under held inputs, by steps of the classical Runge-Kutta method of fourth order. */
-@ else
-/* Move states on under held inputs, by steps of the difference equation x + h f(x, u). */
-@ endif
+@ set kind = "the classical Runge-Kutta method of fourth order" if model.step is none else "the difference equation x + h f(x, u)"
+/* Move states on under held inputs, by steps of {{ kind }}. */
 static void flow(double x[N], const double u[NU], double h, int steps)
 {
-@ if model.step is none
     const double reach[4] = {0.5, 0.5, 1.0, 0.0}, weight[4] = {1.0, 2.0, 2.0, 1.0};
     double k[N], sum[N], z[N];
     int i, s, stage;
-@ else
-    double k[N];
-    int i, s;
-@ endif
     for (s = 0; s < steps; s++) {
-@ if model.step is none
         for (i = 0; i < N; i++) {
             sum[i] = 0.0;
             z[i] = x[i];
         }
-        for (stage = 0; stage < 4; stage++) {
+        for (stage = 0; stage < {{ 4 if model.step is none else 1 }}; stage++) {
             rates(z, u, k);
             for (i = 0; i < N; i++) {
                 sum[i] += weight[stage] * k[i];
@@ -43,12 +34,7 @@ static void flow(double x[N], const double u[NU], double h, int steps)
             }
         }
         for (i = 0; i < N; i++)
-            x[i] += h / 6.0 * sum[i];
-@ else
-        rates(x, u, k);
-        for (i = 0; i < N; i++)
-            x[i] += h * k[i];
-@ endif
+            x[i] += h / {{ "6.0" if model.step is none else "1.0" }} * sum[i];
 @ for position, rate, low, high in stops
         stop(&x[{{ position }}], &x[{{ rate }}], {{ low | c_number }}, {{ high | c_number }});
 @ endfor
