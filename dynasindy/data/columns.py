@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import chain, combinations_with_replacement
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -159,7 +158,7 @@ def _in_steps(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[st
 
 
 def infer(
-    path: str,
+    table: Table,
     time: str = CLOCK,
     inputs: Collection[str] | None = None,
     states: Collection[str] | None = None,
@@ -174,19 +173,17 @@ def infer(
     but time are states, unless they are named.
 
     Args:
-        path: the file.
+        table: the file.
         time: heading of the time column.
         inputs: names or headings of the inputs, without their units or with them.
         states: those of the states.
         dt: sampling time that was given [s]; the error then does not ask for it.
 
     Raises:
-        FileNotFoundError: there is no such file.
         ValueError: no heading is that of a state, none that of an input, one that is named does not exist, or an input
             holds words.
     """
-    table = Table.read(Path(path))
-    names = [split_unit(heading)[0] for heading in table.headings]
+    path, names = str(table.path), [split_unit(heading)[0] for heading in table.headings]
     if double := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(
             f"{path} has {', '.join(map(repr, double))} more than once in its headings; rename all but one"
@@ -430,7 +427,7 @@ def _chosen(columns: Collection[str], names: Collection[str], path: str, key: st
     return [first for first, *_ in found.values()]
 
 
-def find_clock(path: Path, time: str, named: Collection[str], dt: float | None) -> str:
+def find_clock(table: Table, time: str, named: Collection[str], dt: float | None) -> str:
     """Return the heading of the time of a log in which nothing is called one.
 
     It is the only column with a unit of time that rises throughout, and by much the same in most rows; dates are as
@@ -440,16 +437,11 @@ def find_clock(path: Path, time: str, named: Collection[str], dt: float | None) 
     what was given is returned.
 
     Args:
-        path: The file.
+        table: The file.
         time: Heading of the time as it was given, or `time`.
         named: Names of the columns that were named as states or inputs.
         dt: Sampling time that was given [s]; dates are looked at where there is none.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: The file is no table of text.
     """
-    table = Table.read(path)
     if time != CLOCK or any(map(is_clock, table.headings)) or named_by(time, table.headings):
         return time
     growing = {heading: column for heading, column in table.moving().items() if grows(column)}

@@ -6,18 +6,16 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING
 
+import pandas as pd
 import torch
 from torch import Tensor
 
+from dynasindy.data.columns import Column, as_map
 from dynasindy.data.headings import is_rate_of
 from dynasindy.findings import Finding, LogError, weak
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
-
-if TYPE_CHECKING:
-    from dynasindy.data.columns import Column
 
 PLAIN_RATES = ("rate", "velocity", "speed")
 """What a rate is called that may be that of any state, where no unit says so."""
@@ -111,8 +109,6 @@ def require_consistent_rates(
         scale = (math.copysign(near, factor) if close else float(f"{factor:.3g}")) * column.scale
         mended = {**columns, rate: replace(column, unit=signature.rate_unit(state), scale=scale)}
         allowed = f"the unit of {state} per second" if unit == "-" else signature.rate_unit(state)
-        from dynasindy.data.columns import as_map  # with pandas, which data of a simulation do without
-
         raise LogError(each.code, **place, **each.values, unit=allowed, states=as_map(mended))
     return findings
 
@@ -142,8 +138,6 @@ def _increments(data: Transitions, rate: int) -> Tensor:
     """Return the integral of a rate over each row, straight over up to ten missing samples, `(N,)`."""
     first, last = data.x[:, rate].double(), data.x_next[:, rate].double()
     if bool((first + last).isnan().any()):
-        import pandas as pd  # half a second of imports that data without gaps do without
-
         segment, x = data.begins().cumsum(0).numpy(), pd.Series(first.numpy())
         gap = x.isna() & (x.isna().groupby(x.notna().cumsum()).transform("sum") > 10)  # a line would invent it
         x = x.groupby(segment).transform(lambda each: each.interpolate(limit_area="inside")).mask(gap)

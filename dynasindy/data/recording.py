@@ -86,12 +86,8 @@ class Recording:
         return "\n".join([f"{head}; inputs {', '.join(signature.input_names)}", *lines_of(self.findings)])
 
 
-_Roles = tuple[str, dict[str, Column], dict[str, Column]]
-"""Heading of the time, states and inputs."""
-
-
 class _Part(NamedTuple):
-    """Hold what one file gave: its columns, times [s], states and inputs."""
+    """Hold what one file gave: its columns, times [s], states and inputs, and what was found so far."""
 
     path: str
     states: dict[str, Column]
@@ -99,6 +95,7 @@ class _Part(NamedTuple):
     t: Array
     x: dict[str, Array]
     u: Array
+    findings: list[Finding]
 
 
 @dataclass(frozen=True)
@@ -176,8 +173,8 @@ class LogReader:
                 has ends, there are too few samples, files differ in their units or sampling times, or a known rate is
                 in other units than its state.
         """
-        left_out = list[Finding]()
-        time, states, inputs = self._columns(plant, left_out)
+        tables, left_out = [Table.read(Path(path)) for path in self.paths], list[Finding]()
+        time, states, inputs = self._columns(tables, plant, left_out)
         for name in (both := [*states, *inputs]):
             if not NAME.fullmatch(name) or both.count(name) > 1:  # as a function or number in an equation, or twice
                 raise LogError("log.name", file=str(self), name=name)
@@ -189,31 +186,34 @@ class LogReader:
                 f"{self}: the column '{double[0]}' is taken as {' and as '.join(taken)}, and may be read once; leave "
                 f"one out: {correct_map()}"
             )
-        findings = list[Finding]()
-        parts = [self._part(path, (time, states, inputs), plant, findings) for path in self.paths]
+        parts = [self._part(table, time, states, inputs, plant) for table in tables]
         _, states, inputs, *_ = parts[0]
         dt = _one_period(parts, self.dt)
         u = np.concatenate([part.u for part in parts])
-        ranges = _actuator_ranges(str(self), u, inputs, plant is None, findings)
+        ranges = _actuator_ranges(str(self), u, inputs, plant is None, of_inputs := list[Finding]())
         rest, unit = np.array([(each.rest, each.unit) for each in ranges]).T
         pieces, sizes = [], np.zeros(len(states))
         for part in parts:
-            t, x, u, segment = _resample(part.t, part.x, (part.u - rest) / unit, dt, said := list[Finding]())
-            usable = ~(_long_gaps(x, segment, said) | _stops(x, said))
-            said += (each for name, column in x.items() for each in _jumps(name, column, t, u, usable))
+            t, x, u, segment = _resample(part.t, part.x, (part.u - rest) / unit, dt, part.findings)
+            usable = ~(_long_gaps(x, segment, part.findings) | _stops(x, part.findings))
+            part.findings.extend(each for name, column in x.items() for each in _jumps(name, column, t, u, usable))
             full = np.stack([x.get(name, np.full(len(t), np.nan)) for name in states], -1)
             sizes = np.maximum(sizes, np.abs(np.nan_to_num(full)).max(0, initial=0.0))
             whole = torch.from_numpy((segment[1:] == segment[:-1]) & usable[1:] & usable[:-1])
             states_, inputs_ = (torch.from_numpy(np.ascontiguousarray(each)) for each in (full, u))
             labels = torch.from_numpy(segment[:-1].astype(np.int64))
             pieces.append(Transitions(states_[:-1], inputs_[:-1], states_[1:], dt, labels).select(whole))
-            findings += self._of_file(part.path, said)
         data = pieces[0] if len(pieces) == 1 else Transitions.cat(pieces)
         for k, name in enumerate(states):
             if given_units[name] == "-" and _is_angular_speed(data, k, [*states.values()]):
                 data.x[:, k], data.x_next[:, k], sizes[k] = RPM * data.x[:, k], RPM * data.x_next[:, k], RPM * sizes[k]
                 states[name] = replace(states[name], unit="rad/s", scale=RPM * states[name].scale)
-        findings += _conversions(states)
+        findings = [
+            replace(each, values={**each.values, "file": part.path}) if len(parts) > 1 else each
+            for part in parts
+            for each in part.findings
+        ]
+        findings += [*of_inputs, *_conversions(states)]
         findings += (note("log.unmeasured", state=name) for name in states if name not in parts[0].x)
         samples = dict(zip(states, data.x_next.isfinite().sum(0).tolist(), strict=True))
         few: list[dict[str, Any]] = [{"count": len(data)}] if len(data) < LEAST else []
@@ -229,17 +229,19 @@ class LogReader:
             signature = _of_plant(signature, plant, data.x.isnan().all(0).tolist())
         return Recording(data, signature, (*findings, *left_out))
 
-    def _columns(self, plant: Signature | None, findings: list[Finding]) -> _Roles:
+    def _columns(
+        self, tables: Sequence[Table], plant: Signature | None, findings: list[Finding]
+    ) -> tuple[str, dict[str, Column], dict[str, Column]]:
         """Return the heading of the time, states and inputs: those that were given, of the plant, or else inferred."""
         mapped = [isinstance(given, Mapping) for given in (self.states, self.inputs)]
         states, inputs = (
             _columns_of(given if isinstance(given, Mapping) else {name: name for name in given or ()}, states)
             for given, states in ((self.states, True), (self.inputs, False))
         )
-        first, taken = Path(self.paths[0]), [split_unit(c.name or n)[0] for n, c in {**states, **inputs}.items()]
-        time = find_clock(first, self.time, taken, self.dt)
+        taken = [split_unit(column.name or name)[0] for name, column in {**states, **inputs}.items()]
+        time = find_clock(tables[0], self.time, taken, self.dt)
         if plant is not None:
-            headings, rates = Table.read(first).headings, set((self.known or {}).values())
+            headings, rates = tables[0].headings, set((self.known or {}).values())
             states = states or {
                 name: Column("" if name in rates and not named_by(name, headings) else name, unit)
                 for name, unit in zip(plant.state_names, plant.state_units, strict=True)
@@ -249,9 +251,9 @@ class LogReader:
         if not (states and inputs and all(mapped)):
             named = [column.name for column in inputs.values()] or None, None if mapped[0] else [*states] or None
             inferred, refused = [], list[ValueError]()
-            for path in self.paths:
+            for table in tables:
                 try:
-                    inferred.append(infer(path, time, *named, self.dt))
+                    inferred.append(infer(table, time, *named, self.dt))
                 except ValueError as error:
                     refused.append(error)
             if not inferred:
@@ -268,16 +270,11 @@ class LogReader:
     def __str__(self) -> str:
         return ", ".join(self.paths)
 
-    def _of_file(self, path: str, findings: Sequence[Finding]) -> list[Finding]:
-        """Return the findings on a file, which name it where there are others."""
-        several = {"file": path} if len(self.paths) > 1 else {}
-        return [replace(each, values={**each.values, **several}) for each in findings]
-
-    def _part(self, path: str, roles: _Roles, plant: Signature | None, said: list[Finding]) -> _Part:
-        """Read one file as it is: times, states in their units, and inputs in theirs."""
-        time, states, inputs = roles
-        file = Table.read(Path(path))
-        clock, unit = clock_of(file.headings, time)
+    def _part(
+        self, file: Table, time: str, states: dict[str, Column], inputs: dict[str, Column], plant: Signature | None
+    ) -> _Part:
+        """Return one file as it is: times, states in their units, and inputs in theirs."""
+        path, (clock, unit) = str(file.path), clock_of(file.headings, time)
         names = [clock, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
         table = file.select(names, self.dt)
         findings, driving = [*table.findings], slice(len(names) - len(inputs), None)
@@ -307,8 +304,7 @@ class LogReader:
         sound = ((name, _without_spikes(name, x, lines, findings), unit) for name, (x, unit) in measured.items())
         x = {name: _unwrap_angle(name, column, unit, findings) for name, column, unit in sound}
         u = np.stack([columns[c.name] * c.scale for c in inputs.values()], -1)
-        said += self._of_file(path, [*of_time, *findings])
-        return _Part(path, states, inputs, t, x, u)
+        return _Part(path, states, inputs, t, x, u, [*of_time, *findings])
 
 
 def _with_times(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> tuple[pd.DataFrame, NDArray[np.bool_]]:

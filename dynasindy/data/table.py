@@ -6,7 +6,7 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -62,14 +62,40 @@ class Table:
 
     @staticmethod
     def read(path: Path) -> Table:
-        """Read a file; a file that was read just before is not read again.
+        """Read a file.
 
         Raises:
             FileNotFoundError: there is no such file.
             ValueError: the file is no table, or a column with values has no heading.
         """
-        state = path.stat() if path.is_file() else None
-        return _read(path, *((state.st_mtime_ns, state.st_size) if state else (0, 0)))
+        raw, findings = read_file(path)
+        raw, findings = _with_signals_apart(raw, findings)
+        headings = _plain_headings([" ".join(str(heading).split()) for heading in raw.columns])
+        values, words, dated = np.empty((len(headings), len(raw))), dict[str, dict[str, Any]](), set[str]()
+        kept = list[int]()
+        for k, heading in enumerate(headings):
+            column, wrong, is_date = _numbers(raw.iloc[:, k])
+            if not is_date and (code := _lost_code(column)) is not None:
+                lost = column == code
+                column, line = np.where(lost, np.nan, column), int(raw.index[lost.argmax()])
+                findings.append(note("log.code", column=heading, value=code, count=int(lost.sum()), line=line))
+            values[k] = column
+            if not heading:  # an index that a program wrote, a time that names the rows as in pandas, or nothing
+                timed = any(map(is_clock, headings[1:]))
+                if not k and not timed and (is_date or (grows(column) and not counts(column))):
+                    heading = headings[k] = "time"
+                elif k and np.isfinite(column).any() and not counts(column):
+                    raise ValueError(f"{path} has numbers in column {k + 1} and no heading above them; give it one")
+            if wrong is not None:
+                words[heading] = wrong
+            if is_date:
+                dated.add(heading)
+            if heading:
+                kept.append(k)
+        whole = values if len(kept) == len(values) else values[kept]
+        frame = pd.DataFrame(whole.T, index=raw.index, columns=[headings[k] for k in kept], copy=False)
+        table = Table(path, frame, words, frozenset(dated), tuple(findings))
+        return _with_one_clock(_with_fractions(_with_whole_dates(table)))
 
     @property
     def headings(self) -> list[str]:
@@ -144,37 +170,6 @@ class Table:
             for heading, cells in words.items()
         )
         return replace(whole.edit(frame, {}, *said), dated=whole.dated & {first})
-
-
-@lru_cache(maxsize=2)
-def _read(path: Path, changed: int, size: int) -> Table:
-    raw, findings = read_file(path)
-    raw, findings = _with_signals_apart(raw, findings)
-    headings = _plain_headings([" ".join(str(heading).split()) for heading in raw.columns])
-    values, words, dated = np.empty((len(headings), len(raw))), dict[str, dict[str, Any]](), set[str]()
-    kept = list[int]()
-    for k, heading in enumerate(headings):
-        column, wrong, is_date = _numbers(raw.iloc[:, k])
-        if not is_date and (code := _lost_code(column)) is not None:
-            lost = column == code
-            column, line = np.where(lost, np.nan, column), int(raw.index[lost.argmax()])
-            findings.append(note("log.code", column=heading, value=code, count=int(lost.sum()), line=line))
-        values[k] = column
-        if not heading:  # an index that a program wrote, a time that rows are named by as pandas writes it, or nothing
-            if not k and not any(map(is_clock, headings[1:])) and (is_date or (grows(column) and not counts(column))):
-                heading = headings[k] = "time"
-            elif k and np.isfinite(column).any() and not counts(column):
-                raise ValueError(f"{path} has numbers in column {k + 1} and no heading above them; give it one")
-        if wrong is not None:
-            words[heading] = wrong
-        if is_date:
-            dated.add(heading)
-        if heading:
-            kept.append(k)
-    whole = values if len(kept) == len(values) else values[kept]
-    frame = pd.DataFrame(whole.T, index=raw.index, columns=[headings[k] for k in kept], copy=False)
-    table = Table(path, frame, words, frozenset(dated), tuple(findings))
-    return _with_one_clock(_with_fractions(_with_whole_dates(table)))
 
 
 def _plain_headings(headings: Sequence[str]) -> list[str]:

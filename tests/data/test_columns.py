@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dynasindy.data.columns import find_clock, infer
+from dynasindy.data.table import Table
 from dynasindy.findings import LogError, note, weak, wrong
 from dynasindy.identification.identify import LoggedData
 
@@ -59,7 +60,7 @@ def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_pa
     rows = [f"{0.1 * k},{math.sin(k)},{k // 4 % 2},24.5" for k in range(80)]
     path.write_text("\n".join(["time,angle,motor,supply", *rows]))
     still = note("log.left_out", why="constant", columns={"supply": 24.5})
-    states, inputs, told = infer(str(path))
+    states, inputs, told = infer(Table.read(path))
     assert (list(states), list(inputs)) == (["angle"], ["motor"]) and still in told
     assert told[-1] == weak("log.guessed_inputs", inputs=["motor"], states=["angle"], named=False)
     found = LoggedData(str(path), inputs=["motor"]).recording(None)
@@ -75,15 +76,15 @@ def test_dates_are_taken_for_the_time_and_a_counter_only_where_there_is_no_other
     path = tmp_path / "log.csv"
     rows = [f"{k},31.05.2024 12:00:{k // 10:02d}.{k % 10},{math.sin(k)},{k // 4 % 2},{0.1 * k}" for k in range(80)]
     path.write_text("\n".join(["row,Uhr,Winkel,Motor,Zeit", *rows]))
-    given = roles(refused(lambda: infer(str(path))).values["guess"])
+    given = roles(refused(lambda: infer(Table.read(path))).values["guess"])
     assert given["time"] == "Uhr" and given["inputs"] == ["Motor"]
     assert LoggedData(str(path), **given).recording(None).transitions.dt == pytest.approx(0.1)
     path.write_text(
         "\n".join(["row,Winkel,Motor,Zeit", *(",".join(np.array(r.split(","))[[0, 2, 3, 4]]) for r in rows)])
     )
-    assert refused(lambda: infer(str(path))).values["guess"]["time"] == "Zeit"
+    assert refused(lambda: infer(Table.read(path))).values["guess"]["time"] == "Zeit"
     path.write_text("\n".join(["row,Winkel,Motor", *(",".join(np.array(r.split(","))[[0, 2, 3]]) for r in rows)]))
-    guess = refused(lambda: infer(str(path))).values["guess"]
+    guess = refused(lambda: infer(Table.read(path))).values["guess"]
     assert guess["time"] == guess["counter"] == "row"
 
 
@@ -92,7 +93,8 @@ def test_of_two_columns_of_dates_the_first_may_be_the_time_and_the_other_is_left
     date = "31.05.2024 12:00:{:02d}.{}".format
     rows = [f"{date(k // 10, k % 10)},{date(k // 10 + 1, 0)},{math.sin(k)},{k // 4 % 2}" for k in range(80)]
     path.write_text("\n".join(["Uhr,Datei,Winkel,Motor", *rows]))
-    assert note("log.left_out", why="dates", columns=["Datei"]) in refused(lambda: infer(str(path))).values["left_out"]
+    told = refused(lambda: infer(Table.read(path))).values["left_out"]
+    assert note("log.left_out", why="dates", columns=["Datei"]) in told
 
 
 def rows_of_a_swing(path, headings, columns):
@@ -138,7 +140,7 @@ def test_an_encoder_of_a_motor_that_turns_one_way_is_no_counter_of_rows(tmp_path
     u, path = rng.uniform(-1, 1, 300), tmp_path / "log.csv"
     for name, steps in (("row", 1 + 2 * (rng.random(300) < 0.02)), ("encoder", 3 + (rng.random(300) < 0.3))):
         write(path, f"u,{name},speed", u, np.cumsum(steps), np.sin(np.arange(300)))
-        assert find_clock(path, "time", [], 0.02) == ("row" if name == "row" else "time")
+        assert find_clock(Table.read(path), "time", [], 0.02) == ("row" if name == "row" else "time")
 
 
 def closed_loop(rows=1500):
@@ -274,7 +276,7 @@ def test_inputs_are_called_as_actuators_are_and_move_what_follows(tmp_path, head
     seen = [x + noise * np.ptp(x) * rng.normal(size=len(x)) for x in columns[:count]]
     table = np.stack([LONG, *seen, *columns[count:]], 1)
     np.savetxt(path, table, fmt="%.6f", delimiter=",", header=f"time [s],{headings}", comments="")
-    states, found, told = infer(str(path))
+    states, found, told = infer(Table.read(path))
     assert list(found) == inputs and len(states) == count
     guessed = [each for each in told if each.code == "log.guessed_inputs"]
     assert [each.values["named"] for each in guessed] == [True] * ("command" not in headings)
@@ -285,12 +287,12 @@ def test_what_is_called_as_an_actuator_and_moves_nothing_is_no_input(tmp_path):
     path, rng = tmp_path / "log.csv", np.random.default_rng(6)
     table = np.stack([LONG, np.cumsum(rng.normal(size=len(LONG))), 12 + 0.1 * rng.normal(size=len(LONG))], 1)
     np.savetxt(path, table, fmt="%.6f", delimiter=",", header="time,angle,voltage", comments="")
-    told = refused(lambda: infer(str(path)))
+    told = refused(lambda: infer(Table.read(path)))
     assert told.code == "log.no_roles" and told.values["guess"]["inputs"] == ["voltage"]
     table = np.stack([LONG, *np.cumsum(rng.normal(size=(6, len(LONG))), 1)], 1)
     header = "time,a,tau1 [Nm],tau2 [Nm],b,tau3 [Nm],c"
     np.savetxt(path, table, fmt="%.6f", delimiter=",", header=header, comments="")
-    assert refused(lambda: infer(str(path))).values["guess"]["inputs"] == ["tau1", "tau2", "tau3"]
+    assert refused(lambda: infer(Table.read(path))).values["guess"]["inputs"] == ["tau1", "tau2", "tau3"]
 
 
 @pytest.mark.parametrize("names", ["setting,current [A],omega", "Q [%],T pump,T2", "Q,motor [rad],load [rad]"])
@@ -303,7 +305,7 @@ def test_what_is_called_an_actuator_and_follows_a_column_in_steps_is_a_state(tmp
     path = tmp_path / "log.csv"
     path.write_text("\n".join([f"t [s],{names}", *(",".join(map(repr, row)) for row in rows)]))
     plain = [name.split(" [")[0] for name in names.split(",")]
-    found = infer(str(path), "t", states=states and [plain[k] for k in states])
+    found = infer(Table.read(path), "t", states=states and [plain[k] for k in states])
     assert (list(found[1]), list(found[0])) == (plain[:1], plain[1:])
 
 

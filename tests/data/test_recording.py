@@ -13,6 +13,7 @@ import dynasindy
 from dynasindy import envs
 from dynasindy.data.columns import Column, infer
 from dynasindy.data.recording import LogReader
+from dynasindy.data.table import Table
 from dynasindy.findings import Finding, LogError, note, weak, wrong
 from dynasindy.identification.identify import LoggedData
 from dynasindy.identification.source import Source
@@ -307,21 +308,21 @@ def test_a_recording_begins_and_ends_with_its_states(tmp_path, last):
 def test_inputs_may_be_named_and_all_others_are_states(tmp_path):
     path = write(tmp_path / "log.csv", log(), ("time [s]", "angle [rad]", "rate", "volt [V]"))
     for names in (["volt"], ["volt [V]"]):
-        states, inputs, _ = infer(path, inputs=names)
+        states, inputs, _ = infer(Table.read(Path(path)), inputs=names)
         assert (list(states), inputs) == (["angle", "rate"], {"volt": Column("volt [V]")})
     with pytest.raises(ValueError, match="colum"):
-        infer(path, inputs=["current"])
+        infer(Table.read(Path(path)), inputs=["current"])
 
 
 def test_a_counter_of_rows_beside_the_time_is_no_state_unless_it_is_named(tmp_path):
     table = np.concatenate([log(), 3.0 + np.arange(80)[:, None]], -1)
     path = write(tmp_path / "log.csv", table, ("time", "angle", "rate", "u", "row"))
-    states, _, found = infer(path)
+    states, _, found = infer(Table.read(Path(path)))
     assert list(states) == ["angle", "rate"] and found == [note("log.left_out", why="counter", columns=["row"])]
-    assert list(infer(path, states=["angle", "row"])[0]) == ["angle", "row"]
+    assert list(infer(Table.read(Path(path)), states=["angle", "row"])[0]) == ["angle", "row"]
     path = write(tmp_path / "log.csv", table, ("Zeit", "angle", "rate", "volt", "row"))
     with pytest.raises(LogError) as error:
-        infer(path)
+        infer(Table.read(Path(path)))
     told = error.value.finding.values
     assert told["left_out"] == [note("log.left_out", why="counter", columns=["row"])]
     assert (told["guess"]["inputs"], told["guess"]["states"]) == (["volt"], ["angle", "rate"])
