@@ -148,9 +148,7 @@ def plan(
         sensors = _sensors_of(log, model)
     observer = None if sensors is None else _watching(model, sensors, setup, log)
     env = ControlEnv(model, task, setup.dt, setup.substeps, seed=seed)
-    others = []
-    if log is not None:
-        others = _refits(model, log.training, HALVES, "the log")
+    others = [] if log is None else _refits(model, log.training, HALVES, "the log")
     actor = Actor(task.n_o, model.signature.n_u, seed=seed)
     GradientPlanning(env, actor, others=others, seed=seed, **settings).plan()
     return Controller(actor.deployed, setup, observer)

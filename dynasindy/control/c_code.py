@@ -7,7 +7,6 @@ does not have left out. It allocates nothing and keeps everything that changes i
 from __future__ import annotations
 
 import ctypes
-import math
 import re
 import textwrap
 import timeit
@@ -48,13 +47,6 @@ def _identifiers(names: Iterable[str]) -> list[str]:
     return found
 
 
-def _number(value: float) -> str:
-    """Return a number for C, which may be infinite."""
-    if not math.isinf(float(value)):
-        return number(value)
-    return "INFINITY" if value > 0 else "-INFINITY"
-
-
 def _floats(values: Array) -> str:
     """Return numbers of single precision for C, exact to their last bits, in lines of a readable length."""
     lines = textwrap.wrap(", ".join(f"{value:.8e}f" for value in values.tolist()), 100, break_on_hyphens=False)
@@ -63,12 +55,8 @@ def _floats(values: Array) -> str:
 
 def _block(lines: Iterable[str]) -> str:
     """Return lines of any words as lines within a comment of C."""
-    wrapped = [
-        part
-        for line in lines
-        for part in textwrap.wrap(comment(line), 110, subsequent_indent="      ", break_on_hyphens=False) or [""]
-    ]
-    return "\n".join(f" * {line}".rstrip() for line in wrapped)
+    wrap = partial(textwrap.wrap, width=110, subsequent_indent="      ", break_on_hyphens=False)
+    return "\n".join(f" * {part}".rstrip() for line in lines for part in wrap(comment(line)) or [""])
 
 
 def fill(template: str, /, packages: tuple[str, ...] = ("dynasindy.control",), **words: object) -> str:
@@ -87,9 +75,11 @@ def _templates(packages: tuple[str, ...]) -> jinja2.Environment:
         line_statement_prefix="@",
         keep_trailing_newline=True,
     )
-    found.filters |= {"number": number, "c_number": _number, "comment": comment, "block": _block}
+    found.filters |= {"number": number, "comment": comment, "block": _block, "floats": _floats}
+    found.filters["bound"] = lambda value: number(
+        np.nan_to_num(value)
+    )  # an end that is not there is the largest number
     found.filters["numbers"] = lambda values: ", ".join(map(number, values))
-    found.filters["floats"] = _floats
     return found
 
 
@@ -209,28 +199,19 @@ def controller_sources(controller: Controller, name: str = "controller") -> Sour
         "pushed": False if observer is None else observer.pushed,
     }
     if observer is not None:
-        model, (whole, part), dt, size = observer.sparse_model, observer.late(), observer.dt, observer.scale
+        model, size = observer.sparse_model, observer.scale
         if (n := observer.n_x + model.signature.n_u) > MANY:
             raise ValueError(f"an observer of {n} states and inputs is too large for the stack of C, {MANY} at most")
-        late = observer.sensors.delay + whole
         sensed = [signature.state_index(state) for state in controller.measured]
-
-        def _flow(age: int, seconds: float) -> list[tuple[int, float, int]]:
-            """Return the age of an input, and the steps by which a time is passed under it; none where it is zero."""
-            number = max(1, observer.steps(seconds).number) if seconds else 0
-            return [(age, seconds / number, number)] if number else []
-
         words |= {
             "model": model,
             "found": formulas(model).with_constants(observer.pushed, len(observer.pushed)),
             "stops": [] if observer.stops is None else observer.stops.rows(observer.n_x),
             "measured": comment(", ".join(controller.measured)),
-            "memory": late + 2,
-            "period": _flow(late + 2, part) + _flow(late + 1, dt - part),
-            "ahead": _flow(late + 1, part) + [step for age in range(late, 0, -1) for step in _flow(age, dt)],
+            "memory": observer.sensors.delay + observer.late()[0] + 2,
             "size": size,
             "nudge": NUDGE,
-            "strays": (observer.q * size).square() * dt,
+            "strays": (observer.q * size).square() * observer.dt,
             "unknown": (UNKNOWN * size).square(),
             "sensed": sensed,
             "narrowest": (LEAST * size[sensed]).square(),

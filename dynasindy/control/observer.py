@@ -30,7 +30,7 @@ from dynasindy.sindy import SindyModel
 from dynasindy.systems import Altered, Diverged, Signature, System, integrate
 from dynasindy.systems.equilibria import central_differences
 from dynasindy.systems.machine import Machine
-from dynasindy.systems.steps import Steps, split_delay, steps_of
+from dynasindy.systems.steps import split_delay, steps_of
 
 if TYPE_CHECKING:
     from dynasindy.control.controller import ControlSetup
@@ -208,11 +208,9 @@ class Observer:
             mean: Estimate at the time of the last measurement that has arrived, `(*batch, n)`.
             inputs: Commands so far, `(*batch, memory, n_u)`.
         """
-        whole, part = self.late()
-        late = self.sensors.delay + whole
-        x = self._flow(mean, inputs[..., -1 - late, :], part) if part else mean
-        for k in range(late, 0, -1):
-            x = self._flow(x, inputs[..., -k, :], self.dt)
+        x = mean
+        for age, seconds, steps in self.passages()[1]:
+            x = self._flow(x, inputs[..., -age, :], seconds, steps)
         return torch.where(x.isfinite(), x, mean)
 
     def correction(self, mean: Tensor, inputs: Tensor, outputs: Sequence[int], guess: Tensor) -> Tensor:
@@ -404,32 +402,38 @@ class Observer:
             raise ValueError(f"the model's delay is {delay} s, the observer allows {LONGEST * self.dt:g} s; shorten it")
         return whole, rest
 
-    def steps(self, seconds: float) -> Steps:
-        """Return the steps by which it passes a part of a control period.
+    def passages(self) -> tuple[list[tuple[int, float, int]], ...]:
+        """Return which commands act, 1 the newest, how long [s] and in how many steps.
 
-        Args:
-            seconds: The part [s].
+        The first list is of the control period whose measurement has just arrived, the second of the time from there
+        until the next command arrives at the plant.
         """
-        return steps_of(self.system.step, seconds, max(1, round(self.substeps * seconds / self.dt)))
+        whole, part = self.late()
+        first = self.sensors.delay + whole + 1
+        until = (first + 1, part), (first, self.dt - part)
+        after = (first, part), *((age, self.dt) for age in range(first - 1, 0, -1))
+
+        def stepped(age: int, seconds: float) -> tuple[int, float, int]:
+            substeps = max(1, round(self.substeps * seconds / self.dt))
+            return age, seconds, steps_of(self.system.step, seconds, substeps).number
+
+        return tuple([stepped(*each) for each in some if each[1]] for some in (until, after))
 
     def _period(self, x: Tensor, inputs: Tensor) -> Tensor:
         """Move states `(*batch, n, n_x)` on by the control period whose measurement has just arrived."""
-        whole, part = self.late()
-        k = self.sensors.delay + whole + 1
-        if part:
-            x = self._flow(x, inputs[..., -k - 1, :].unsqueeze(-2), part)
-        return self._flow(x, inputs[..., -k, :].unsqueeze(-2), self.dt - part)
+        for age, seconds, steps in self.passages()[0]:
+            x = self._flow(x, inputs[..., -age, :].unsqueeze(-2), seconds, steps)
+        return x
 
-    def _flow(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
+    def _flow(self, x: Tensor, u: Tensor, seconds: float, steps: int) -> Tensor:
         """Move states on under inputs that broadcast with them."""
-        steps = self.steps(seconds)
         u = u.double().expand(*x.shape[:-1], u.shape[-1])
         believed: System = self.system
         if self.pushed:  # the pushes behind the states
             if self._augmentation is None or self._augmentation.system is not believed:
                 self._augmentation = _Augmented(believed, self.pushed if self.learnt else (), len(self.pushed))
             believed = self._augmentation
-        return integrate(believed, x, u, seconds, steps.number, self.stops)[0][..., -1, :]
+        return integrate(believed, x, u, seconds, steps, self.stops)[0][..., -1, :]
 
     def _padded(self, y: Tensor) -> Tensor:
         """Return measurements with a NaN for each push, and for each state that has no sensor, whatever was given."""

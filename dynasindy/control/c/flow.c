@@ -36,7 +36,7 @@ static void flow(double x[N], const double u[NU], double h, int steps)
         for (i = 0; i < N; i++)
             x[i] += h / {{ "6.0" if model.step is none else "1.0" }} * sum[i];
 @ for position, rate, low, high in stops
-        stop(&x[{{ position }}], &x[{{ rate }}], {{ low | c_number }}, {{ high | c_number }});
+        stop(&x[{{ position }}], &x[{{ rate }}], {{ low | bound }}, {{ high | bound }});
 @ endfor
     }
 }

@@ -34,8 +34,8 @@ static void begin({{ name }}_state *s, const double y[NX])
 /* Move states on by the period whose measurement has just arrived. */
 static void period(double x[N], double inputs[MEMORY][NU])
 {
-@ for age, h, steps in period
-    flow(x, inputs[MEMORY - {{ age }}], {{ h | number }}, {{ steps }});
+@ for age, seconds, steps in observer.passages()[0]
+    flow(x, inputs[MEMORY - {{ age }}], {{ (seconds / steps) | number }}, {{ steps }});
 @ endfor
 }
 
@@ -115,8 +115,8 @@ static void ahead({{ name }}_state *s, double x[N])
 {
     int i;
     memcpy(x, s->x, sizeof s->x);
-@ for age, h, steps in ahead
-    flow(x, s->inputs[MEMORY - {{ age }}], {{ h | number }}, {{ steps }});
+@ for age, seconds, steps in observer.passages()[1]
+    flow(x, s->inputs[MEMORY - {{ age }}], {{ (seconds / steps) | number }}, {{ steps }});
 @ endfor
     for (i = 0; i < N; i++)
         if (!isfinite(x[i]))
