@@ -204,15 +204,10 @@ def remove_leftovers(folder: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def write_bytes(path: str | Path, data: bytes) -> None:
-    """Write a file whole."""
-    with replace_file(path) as file:
-        file.write(data)
-
-
 def write_text(path: str | Path, text: str) -> None:
     """Write a text file whole, in UTF-8."""
-    write_bytes(path, text.encode("utf-8"))
+    with replace_file(path) as file:
+        file.write(text.encode("utf-8"))
 
 
 def write_json(path: str | Path, record: Mapping[str, Any], indent: int = 2, finite: bool = True) -> None:

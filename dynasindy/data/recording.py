@@ -470,14 +470,12 @@ def _resample(
         if len(t[rows]) < FEWEST:
             continue
         grid = np.arange(t[rows][0], t[rows][-1] + 1e-9 * dt, dt)
-        # The mean of held inputs over each even step, that of the last one up to the last sample.
+        # The mean of held inputs over each even step; no step follows the last row.
         at, held = t[rows], u[rows]
         whole = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(held[:-1] * np.diff(at)[:, None], 0)])
-        ends = np.minimum(np.append(grid, grid[-1] + dt), at[-1])
-        sums, widths = np.stack([np.interp(ends, at, column) for column in whole.T], -1), np.diff(ends)[:, None]
-        held = held[np.searchsorted(at, grid + 1e-6 * dt, side="right") - 1]
-        means = np.where(widths > 1e-6 * dt, np.diff(sums, axis=0) / np.maximum(widths, 1e-6 * dt), held)
-        jumps = (np.abs(np.diff(u[rows], axis=0)) > JUMP * wide).any(-1)
+        sums = np.stack([np.interp(grid, at, column) for column in whole.T], -1)
+        means = np.append(np.diff(sums, axis=0) / dt, held[-1:], 0)
+        jumps = (np.abs(np.diff(held, axis=0)) > JUMP * wide).any(-1)
         moved = np.stack([_between_jumps(at, column[rows], jumps, grid) for column in x.values()], -1)
         parts.append((grid, moved, means, np.full(len(grid), label)))
     if not parts:

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from torch import Tensor
 
-from dynasindy.safe_io import write_bytes
+from dynasindy.safe_io import replace_file
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
 """Under these settings what is written here compiles."""
@@ -100,7 +100,8 @@ def load_library(source: str, *, fast: bool) -> ctypes.CDLL:
         code = ctypes.CDLL(str(made))
         if file is not None:
             with suppress(OSError):  # the disk may be full
-                write_bytes(file, made.read_bytes())
+                with replace_file(file) as whole:
+                    whole.write(made.read_bytes())
                 kept = sorted(file.parent.glob(f"*{SUFFIX}"), key=lambda path: path.stat().st_mtime, reverse=True)
                 for old in kept[KEPT:]:
                     old.unlink(missing_ok=True)
