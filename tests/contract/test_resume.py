@@ -4,8 +4,6 @@ DYNASINDY_MOMENTS=50 tries as many moments of each experiment; DYNASINDY_MOMENTS
 """
 
 import csv
-import hashlib
-import json
 import os
 import random
 import re
@@ -18,7 +16,7 @@ from pathlib import Path
 
 import forked
 import pytest
-import torch
+from leftovers import left_by
 
 ROOT = Path(__file__).resolve().parents[2]
 MOMENTS = int(os.environ.get("DYNASINDY_MOMENTS", 1))
@@ -41,31 +39,6 @@ EXPERIMENTS = {
 CODES = {"SIGKILL": -9, "SIGINT": 130, "SIGTERM": 143}
 
 
-def kept(folder):
-    """Return a digest of each file that a run left, without the times it took."""
-    found = {}
-    for file in sorted(file for file in folder.rglob("*") if file.is_file()):
-        name, raw = str(file.relative_to(folder)), file.read_bytes()
-        if "wall_seconds" in name or name == "origin.json":
-            continue
-        if file.suffix == ".csv":
-            rows = list(csv.reader(raw.decode().splitlines()))
-            drop = [i for i, cell in enumerate(rows[0]) if cell == "wall_seconds"]
-            raw = repr([[cell for i, cell in enumerate(row) if i not in drop] for row in rows]).encode()
-        elif file.suffix == ".pt":
-            raw = repr({key: value.tolist() for key, value in torch.load(file).items()}).encode()
-        elif name == "metrics.json":
-            record = json.loads(raw)
-            del record["cost"]["wall_seconds"]
-            raw = json.dumps(record).encode()
-        elif name == "config.yaml":
-            raw = re.sub(rb"folder: .*", b"", raw)
-        elif file.suffix == ".txt":
-            raw = re.sub(rb"[0-9.e-]+ s\b", b"", raw)
-        found[name] = hashlib.sha256(raw).hexdigest()
-    return found
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory, command):
     """Return, once for each experiment, what the run that nobody stops leaves, and how long it takes [s]."""
@@ -76,7 +49,7 @@ def whole(tmp_path_factory, command):
             home, begun = tmp_path_factory.mktemp(name), time.perf_counter()
             done = command("train", *EXPERIMENTS[name], *SMALL, "hydra.run.dir=run", cwd=home)
             assert done.code == 0, done
-            found[name] = kept(home / "run"), time.perf_counter() - begun
+            found[name] = left_by(home / "run", "origin.json"), time.perf_counter() - begun
         return found[name]
 
     return make
@@ -104,7 +77,7 @@ def test_a_run_stopped_at_a_random_moment_ends_as_the_one_that_was_not(tmp_path,
     place = re.findall(r"up to the end of ([^:]*):", done.stderr)
     again = command("train", *(["resume=run"] if begun else words), cwd=home)
     assert again.code == 0, again
-    found = kept(home / "run")
+    found = left_by(home / "run", "origin.json")
     if file := os.environ.get("DYNASINDY_MOMENTS_CSV"):
         row = [how, name, number, f"{moment:.3f}", int(stopped), done.returncode, *place[:1], int(found == expected)]
         with Path(file).open("a") as table:
@@ -123,7 +96,7 @@ def test_a_full_disk_costs_one_line_and_no_good_checkpoint(tmp_path, command, wh
     last = done.stderr.splitlines()[-1]
     assert last.startswith("error: ") and "checkpoints/" in last, done
     again = command("train", "resume=run", cwd=home)
-    assert again.code == 0 and kept(home / "run") == expected
+    assert again.code == 0 and left_by(home / "run", "origin.json") == expected
 
 
 FICKLE = """
@@ -156,7 +129,7 @@ def test_a_run_with_a_class_of_the_user_s_own_goes_on_by_the_command_that_is_pri
     refused = command("train", *(word for word in again if "plugins" not in word), cwd=tmp_path / "parts")
     assert refused.code == 2 and "fickle" in refused.err
     assert command("train", *again, cwd=tmp_path / "parts").code == 0
-    ours, theirs = (kept(tmp_path / name / "run") for name in ("parts", "whole"))
+    ours, theirs = (left_by(tmp_path / name / "run", "origin.json") for name in ("parts", "whole"))
     assert ours == theirs and {"policy.pt", "metrics.json", "progress.csv", "model.json"} <= set(ours)
 
 

@@ -4,13 +4,13 @@ import csv
 import dataclasses
 import json
 import os
-import re
 import subprocess
 import sys
 from functools import partial
 
 import pytest
 import torch
+from leftovers import left_by
 from recipes import make_recipe
 
 from dynasindy.agents import TD3, DynaReplay
@@ -77,26 +77,6 @@ def go(folder, name, last=None, episodes=3, config=PROVENANCE[0], **options):
     return run(recipe(PLANNERS[name], episodes), evaluating, folder, config, PROVENANCE[1], **options)
 
 
-def kept(folder):
-    """Return all that a run left, but for the times it took."""
-    files = {}
-    for file in sorted(file for file in folder.rglob("*") if file.is_file()):
-        name = str(file.relative_to(folder))
-        if file.suffix == ".csv":
-            if "wall_seconds" in name:
-                continue
-            rows = list(csv.reader(file.open()))
-            drop = [i for i, cell in enumerate(rows[0]) if cell == "wall_seconds"]
-            files[name] = [[cell for i, cell in enumerate(row) if i not in drop] for row in rows]
-        elif file.suffix == ".pt":
-            files[name] = {key: value.tolist() for key, value in torch.load(file).items()}
-        else:
-            files[name] = re.sub(r"[0-9.e-]+ s\b", "", file.read_text())
-    metrics = json.loads(files.pop("metrics.json"))
-    del metrics["cost"]["wall_seconds"]
-    return files | {"metrics.json": metrics}
-
-
 def test_a_run_stopped_again_and_again_ends_as_the_one_that_was_not(tmp_path):
     go(tmp_path / "whole", "gradient", episodes=2)
     calls = Plug.calls
@@ -107,7 +87,7 @@ def test_a_run_stopped_again_and_again_ends_as_the_one_that_was_not(tmp_path):
         stops += 1
     go(tmp_path / "parts", "gradient", episodes=2)
     assert Plug.calls < calls  # what was done is not repeated
-    assert stops == 3 and kept(tmp_path / "parts") == kept(tmp_path / "whole")
+    assert stops == 3 and left_by(tmp_path / "parts") == left_by(tmp_path / "whole")
     assert not (tmp_path / "parts" / "checkpoints").exists()
 
 
@@ -129,7 +109,7 @@ def test_a_stopped_run_can_be_ended_and_then_gone_on_with(tmp_path):
     ended = go(tmp_path / "parts", "none", finish=True)
     assert ended["episodes"] == 1 and ended["cost"]["real_steps"] == 40
     assert go(tmp_path / "parts", "none")["episodes"] == 3
-    ours, theirs = (kept(tmp_path / name) for name in ("parts", "whole"))
+    ours, theirs = (left_by(tmp_path / name) for name in ("parts", "whole"))
     for files in (ours, theirs):  # it was evaluated once more
         del files["metrics.json"]["cost"]
     assert ours == theirs

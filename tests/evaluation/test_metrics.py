@@ -17,36 +17,8 @@ DT = 0.001
 TIME = torch.arange(0, 20, DT, dtype=torch.float64)
 
 
-def second_order(zeta: float, omega: float, size: float) -> torch.Tensor:
-    """Unit step response of omega^2 / (s^2 + 2 zeta omega s + omega^2), scaled by `size`."""
-    damped = omega * math.sqrt(1 - zeta**2)
-    phase = math.acos(zeta)
-    decay = torch.exp(-zeta * omega * TIME) / math.sqrt(1 - zeta**2)
-    return size * (1 - decay * torch.sin(damped * TIME + phase))
-
-
 def measure(y: torch.Tensor, r: torch.Tensor, u: torch.Tensor | None = None) -> dict[str, torch.Tensor]:
     return tracking_metrics(TIME, y, r, torch.zeros_like(y) if u is None else u)
-
-
-@pytest.mark.parametrize("size", [0.4, -0.25])
-@pytest.mark.parametrize("zeta", [0.2, 0.5, 0.7])
-def test_overshoot_of_a_second_order_system(zeta: float, size: float) -> None:
-    y = second_order(zeta, 2.0, size).unsqueeze(-1)
-    expected = 100 * math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2))
-    assert measure(y, torch.full_like(y, size))["overshoot"].item() == pytest.approx(expected, abs=1e-3)
-
-
-def test_times_of_a_first_order_system() -> None:
-    # 1 - exp(-t / tau): 10 % to 90 % takes tau ln 9, the error is 5 % at tau ln 20.
-    tau = 0.8
-    y = (0.3 * (1 - torch.exp(-TIME / tau))).unsqueeze(-1)
-    metrics = measure(y, torch.full_like(y, 0.3))
-    assert metrics["rise_time"].item() == pytest.approx(tau * math.log(9), abs=1e-5)
-    assert metrics["settling_time"].item() == pytest.approx(tau * math.log(20), abs=1.001 * DT)
-    assert metrics["overshoot"].item() == 0.0
-    assert metrics["rmse"].item() == pytest.approx(0.3 * math.sqrt(tau / 2 / 20), rel=2e-3)
-    assert metrics["mean_abs_error"].item() == pytest.approx(0.3 * tau / 20, rel=2e-3)
 
 
 def test_what_a_sensor_cannot_tell_from_the_target_has_settled() -> None:

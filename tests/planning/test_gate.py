@@ -66,19 +66,3 @@ def test_a_stop_that_the_model_meets_costs_what_it_costs_the_plant():
     episode = env.rollout(40)
     assert episode["next", "at_stop"].any()
     assert replay_error(env, episode).reward_error < 1e-6
-
-
-def test_windows_of_a_period_are_one_step_of_the_model_from_each_real_state():
-    plant = Tras()
-    env = ControlEnv(plant, Tracking(plant.signature, Wave([0.3, 0.2], [0.5, 0.4])), dtype=torch.float64)
-    model_env = env.with_system(Xi())
-    rollout = env.rollout(5)
-    found, missed = replay_error(model_env, rollout, torch.arange(5), 1), []
-    for k in range(5):
-        row = rollout[k]
-        x = model_env.advance(row["state"], row["action"].double())[0][-1]
-        t = torch.tensor([(k + 1) * 0.05]).double()
-        reward = env.task.reward(row["state"], x, row["task_params"], t, torch.tensor(False))
-        torch.testing.assert_close(found.states[k], x)
-        missed.append(abs(reward - row["next", "reward"]).item() / env.task.unit)
-    assert found.reward_error == pytest.approx(sum(missed) / 5, rel=1e-5)

@@ -2,6 +2,7 @@
 
 import math
 import threading
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -36,25 +37,27 @@ def swing(y, t):
     return np.array([0.5 * math.sin(3 * t) - 0.1 * np.nan_to_num(y[1])])
 
 
-def flown(tmp_path, act=swing, periods=12, guard=PATIENT, served=None, **settings):
-    """Fly, and return what came of it and what the rig saw."""
-    server = FarEnd(Pendulum(), 0.05, safe=SAFE, **settings)
-    thread = threading.Thread(target=server.serve, args=(served or periods + 1, 10.0))
+@contextmanager
+def served(periods):
+    """Serve a pendulum for so many samples; yield its rig and its far end."""
+    far = FarEnd(Pendulum(), 0.05, safe=SAFE)
+    thread = threading.Thread(target=far.serve, args=(periods,))
     thread.start()
-    rig = UdpRig(2, 1, port=server.port)
+    rig = UdpRig(2, 1, port=far.port)
     try:
-        return run_flight(rig, act, WIRING, periods, tmp_path / "log.csv", guard), server.record
+        yield rig, far
     finally:
         rig.close()
         thread.join()
 
 
 def test_the_log_is_read_back_by_identification(tmp_path):
-    _, record = flown(tmp_path, periods=60)
+    with served(61) as (rig, far):
+        run_flight(rig, swing, WIRING, 60, tmp_path / "log.csv", PATIENT)
     units = {"theta": {"name": "theta", "unit": "rad"}, "Omega": {"name": "Omega", "unit": "rad/s"}}
     data = LogReader(str(tmp_path / "log.csv"), units, {"u": "u"}).recording().transitions
-    np.testing.assert_allclose(data.x, np.array(record.states[:59]), atol=1e-7)
-    np.testing.assert_allclose(data.u, np.array(record.applied[:59]), atol=1e-7)
+    np.testing.assert_allclose(data.x, np.array(far.states[:59]), atol=1e-7)
+    np.testing.assert_allclose(data.u, np.array(far.applied[:59]), atol=1e-7)
     assert data.dt == pytest.approx(0.05)
 
 
@@ -160,15 +163,9 @@ def test_ctrl_c_brings_the_rig_to_rest_and_goes_on(tmp_path):
             raise KeyboardInterrupt
         return swing(y, t)
 
-    server = FarEnd(Pendulum(), 0.05, safe=SAFE)
-    thread = threading.Thread(target=server.serve, args=(6, 10.0))
-    thread.start()
-    rig = UdpRig(2, 1, port=server.port)
-    with pytest.raises(KeyboardInterrupt):
+    with served(6) as (rig, far), pytest.raises(KeyboardInterrupt):
         run_flight(rig, act, WIRING, 9, tmp_path / "log.csv", PATIENT)
-    rig.close()
-    thread.join()
-    for u in server.record.applied[5:]:
+    for u in far.applied[5:]:
         np.testing.assert_array_equal(u, SAFE)
 
 

@@ -4,7 +4,6 @@ import csv
 import re
 import threading
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -36,7 +35,7 @@ KNOWLEDGE = Knowledge(
 @pytest.fixture
 def session(tmp_path):
     server = FarEnd(Pendulum(), 0.05, Sensors({"theta": {"resolution": COUNT}}))
-    thread = threading.Thread(target=partial(server.serve, 10_000, lockstep=10.0), daemon=True)
+    thread = threading.Thread(target=server.serve, args=(10_000,), daemon=True)
     thread.start()
     rig = UdpRig(2, 1, port=server.port)
     wiring = Wiring(Pendulum().signature, (True, False), 0.05)

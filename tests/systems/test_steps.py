@@ -2,8 +2,9 @@
 
 import pytest
 import torch
+from tank import Tank
 
-from dynasindy.systems import Pendulum, Signature, Stops, System
+from dynasindy.systems import Pendulum, Stops
 from dynasindy.systems.steps import Rates, steps_of, time_step_of
 
 
@@ -30,14 +31,6 @@ def test_a_function_is_of_a_difference_equation_where_it_says_so():
     assert time_step_of(field) is None and time_step_of(Pendulum()) is None
     rates = Rates(field, 0.2)
     assert time_step_of(rates) == 0.2 and float(rates(torch.tensor(3.0), torch.zeros(1))) == 6.0
-
-
-class Tank(System):
-    def __init__(self):
-        super().__init__(Signature(("h",), ("m",), ("pump",), (1.0,)))
-
-    def forward(self, x, u):
-        return u - x
 
 
 class Sampled(Tank):
