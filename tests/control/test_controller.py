@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from controllers import PENDULUM, pendulum_controller
 from plants import A, B, spring
 
 from dynasindy.agents import actor
@@ -498,45 +499,6 @@ def test_a_plant_without_rates_is_pushed_on_what_is_measured_at_its_own_pace():
     assert left[True] < 0.01 and left[False] > 0.01 / 0.07
 
 
-SIGNATURE = Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.5, 3.0))
-
-
-def tracking(signature):
-    """Return a task with numbers that are no defaults."""
-    return Tracking(
-        signature,
-        Step([[0.0]]),
-        ("theta",),
-        ("Omega",),
-        TrackingReward((1.0,)),
-        observe_rate=True,
-        error_scale=0.7,
-        low=[-0.5],
-        high=[1.3],
-    )
-
-
-def built(observer=True, integral=None, delay=0.07, stops=None):
-    """Return a controller with numbers that are no defaults."""
-    task = tracking(SIGNATURE)
-    setup = ControlSetup(task, 0.04, 3, stops or Stops((0,), (1,), (-0.6,), (0.6,)))
-    with torch.random.fork_rng():
-        torch.manual_seed(1)
-        policy = actor(task.n_o, 1, (8, 5)).requires_grad_(False)
-    if not observer:
-        return Controller(policy, setup, None, integral)
-    model = SindyModel(SIGNATURE, ["u", "Omega", "tanh(~4 theta)"], known={"theta": "Omega"})
-    model.library = model.library.with_shapes([3.7])
-    model.set_coefficients(torch.tensor([[0.0, 8.0], [1.0, -0.6], [0.0, -9.5]], dtype=torch.float64))
-    model.delay = delay
-    sensors = Sensors(
-        {"theta": {"resolution": 0.01, "noise": 0.002}}, rates={"theta": "Omega"}, delay=1, disturbance=True
-    )
-    watching = Observer(model, sensors, setup)
-    watching.load_state_dict({"process_noise": [0.013, 0.021, 0.4], "nis": 1.1})
-    return Controller(policy, setup, watching, integral)
-
-
 def acts(controller):
     controller.reset()
     return np.array([controller.act([0.09 * math.sin(k), math.nan], [0.3], [0.1 * k]) for k in range(30)])
@@ -550,7 +512,7 @@ def acts_seeing_all(controller):
 @pytest.mark.parametrize("observer", [True, False])
 @pytest.mark.parametrize("integral", [None, {"gain": 3.0, "band": 0.9}, {"limit": 0.1}])
 def test_what_is_loaded_acts_as_what_was_saved(tmp_path, integral, observer):
-    controller, act = built(observer, integral), acts if observer else acts_seeing_all
+    controller, act = pendulum_controller(observer, integral), acts if observer else acts_seeing_all
     save(controller, tmp_path / "controller.json")
     expected = act(controller)
     assert expected.std() > 1e-3
@@ -559,7 +521,7 @@ def test_what_is_loaded_acts_as_what_was_saved(tmp_path, integral, observer):
 
 
 def test_ends_of_inputs_are_kept_and_a_file_that_has_none_has_the_actuators(tmp_path):
-    controller = built()
+    controller = pendulum_controller()
     controller.setup = replace(controller.setup, task=controller.setup.task.with_input_limits([[-0.25], [0.5]]))
     save(controller, tmp_path / "c.json")
     assert load(tmp_path / "c.json").setup.task.input_limits.tolist() == [[-0.25], [0.5]]
@@ -572,13 +534,13 @@ def test_ends_of_inputs_are_kept_and_a_file_that_has_none_has_the_actuators(tmp_
 
 def test_a_one_sided_actuator_rests_at_its_zero_and_an_earlier_file_at_the_middle_that_it_meant(tmp_path):
     """A motor of 0 to 12 V: 0 V was -1 and 6 V was 0, as no file said anything of limits; now 0 V is 0."""
-    heated = replace(SIGNATURE, input_ends=((-12, 12),), input_limits=((0, 1),), input_units=("V",))
-    controller = built(observer=False)
+    heated = replace(PENDULUM, input_ends=((-12, 12),), input_limits=((0, 1),), input_units=("V",))
+    controller = pendulum_controller(observer=False)
     controller.network.layers()[-1].bias.sub_(0.17)  # about zero
     free = acts_seeing_all(controller)
     assert free.min() < -1e-3 and free.max() > 1e-3
     free_task, inputs = controller.setup.task, torch.tensor(heated.input_limits).mT
-    task = tracking(heated)
+    task = pendulum_controller(observer=False, signature=heated).setup.task
     assert torch.equal(task.input_limits, inputs) and not free_task.limited
     controller.setup = replace(controller.setup, task=task)
     save(controller, tmp_path / "c.json")
@@ -597,7 +559,7 @@ def test_a_one_sided_actuator_rests_at_its_zero_and_an_earlier_file_at_the_middl
 
 
 def damaged(tmp_path, change):
-    save(built(), tmp_path / "c.json")
+    save(pendulum_controller(), tmp_path / "c.json")
     record = json.loads((tmp_path / "c.json").read_text())
     change(record)
     (tmp_path / "c.json").write_text(json.dumps(record))
@@ -641,20 +603,21 @@ def test_a_folder_without_a_controller_says_so(tmp_path):
 
 
 def test_steps_and_stops_are_kept_without_an_observer_and_with_one_open_end(tmp_path):
-    controller = built(observer=False, stops=Stops((0,), (1,), (-math.inf,), (0.6,)))
+    controller, stops = pendulum_controller(observer=False), Stops((0,), (1,), (-math.inf,), (0.6,))
+    controller.setup = replace(controller.setup, stops=stops)
     save(controller, tmp_path / "c.json")
     record = json.loads((tmp_path / "c.json").read_text())
     assert record["task"]["stops"]["low"] == [None]
     setup = load(tmp_path / "c.json").setup
-    assert (setup.substeps, setup.stops) == (3, Stops((0,), (1,), (-math.inf,), (0.6,)))
+    assert (setup.substeps, setup.stops) == (3, stops)
 
 
 def test_targets_and_starts_of_the_plan_are_kept_and_a_file_that_has_none_is_read(tmp_path):
-    controller, path = built(), tmp_path / "controller.json"
+    controller, path = pendulum_controller(), tmp_path / "controller.json"
     ends = controller.setup.task.start  # its own tensor
     ends[:, 0] = torch.tensor([0.25, 0.75])
     save(controller, path)
-    assert load(path).setup.task.ends == ((-0.5,), (1.3,))
+    assert load(path).setup.task.ends == ((-0.4,), (1.0,))
     assert torch.equal(load(path).setup.task.start_ends, ends)
     record = json.loads(path.read_text())
     del record["task"]["targets"], record["task"]["start"]
@@ -662,7 +625,7 @@ def test_targets_and_starts_of_the_plan_are_kept_and_a_file_that_has_none_is_rea
     old = load(path)
     assert old.setup.task.ends is None and not old.setup.task.start_ends.any() and old.targets_in_words() == []
     np.testing.assert_array_equal(acts(old), acts(controller))
-    record["task"]["targets"] = [[None], [1.3]]
+    record["task"]["targets"] = [[None], [1.0]]
     path.write_text(json.dumps(record))
     with pytest.raises(DamagedFileError, match="belongs"):
         load(path)
