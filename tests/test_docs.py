@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hydra import compose, initialize_config_dir
+from configs import composed
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
@@ -82,8 +82,7 @@ def test_a_command_of_a_page_is_one_that_its_config_takes(command, words):
     OverridesParser.create().parse_overrides(overrides)
     if words.startswith("-m") or "hydra/" in words or OF_OTHERS.search(words):
         return
-    with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
-        compose(command, overrides)
+    composed(command, *overrides)
 
 
 def test_the_citation_is_of_this_version_and_names_the_authors_of_the_paper():
@@ -116,8 +115,7 @@ def test_algorithm_page_lists_every_departure_and_no_other():
     ("overrides", "column"), [(["experiment=paper"], 0), (["experiment=dyna"], 1)], ids=["paper", "dyna"]
 )
 def test_algorithm_page_shows_the_values_of_the_configs(overrides, column):
-    with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
-        config = compose("train", overrides)
+    config = composed("train", *overrides)
     rows = re.findall(r"\| `([\w.]+)` \| ([^|]+) \| ([^|]+) \|$", ALGORITHM.read_text(), re.M)
     assert len(rows) > 11  # the rows of the paper's table, and what its text sets
     shown = {key: OmegaConf.create(f"value: {values[column]}").value for key, *values in rows}

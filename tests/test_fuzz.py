@@ -9,12 +9,11 @@ from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
-from hydra import compose, initialize_config_dir
+from configs import composed
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 sys.path.append(str(Path(__file__).parents[1] / "scripts"))
-from cli import CONF
 from command import MENDABLE, in_words
 from settings import check
 
@@ -33,14 +32,6 @@ CRYPTIC = re.compile(
 )
 EACH = {"train": 30, "identify": 15, "files": 10, "csv": 40, "model": 24}
 """Inputs of each kind."""
-
-
-def composed(command: str, *overrides: str) -> DictConfig:
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        cfg = compose(command, list(overrides))
-    if "folder" in cfg:
-        cfg.folder = "runs/fuzz"
-    return cfg
 
 
 def leaves(node: object, key: str = "") -> Iterator[str]:

@@ -5,11 +5,10 @@ import math
 import re
 from dataclasses import fields
 from functools import cache
-from pathlib import Path
 
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
+from configs import CONF, composed
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
@@ -18,21 +17,15 @@ from dynasindy.dyna.excite import excite
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.planning import Gate
 
-CONF = Path(__file__).resolve().parents[2] / "conf"
 GROUPS = ("system", "task", "excitation", "world_model", "planning", "agent", "sensors", "scenario", "experiment")
 OPTIONS = [f"{group}={file.stem}" for group in GROUPS for file in sorted((CONF / group).glob("[a-z]*.yaml"))]
 PLANTS = sorted({file.stem for file in (CONF / "system").glob("[a-z]*.yaml")} - {"logged", "black_box"})
 """The plants of the folder, to which whoever uses the package may have added some of their own."""
 
 
-def composed(*overrides, command="train"):
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose(command, overrides=list(overrides))
-
-
 @cache
 def build(*overrides):
-    cfg = composed(*overrides)
+    cfg = composed("train", *overrides)
     names = {f.name for f in fields(Recipe)} - {"seed", "device"}
     parts = {name: instantiate(cfg[name], _convert_="all") for name in names}
     instantiate(cfg.scenario, _convert_="all")
@@ -49,8 +42,7 @@ def test_the_environment_of_the_page_is_built_of_its_own_words(tmp_path):
     (block,) = re.findall(r"`my_conf/system/my_env.yaml`\n\n```yaml\n(.*?)```", page, re.S)
     (tmp_path / "system").mkdir()
     (tmp_path / "system" / "my_env.yaml").write_text(block)
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        cfg = compose("train", overrides=["system=my_env", f"hydra.searchpath=[file://{tmp_path}]"])
+    cfg = composed("train", "system=my_env", f"hydra.searchpath=[file://{tmp_path}]")
     assert list(cfg.world_model.library) == ["1", "p", "v", "omega", "force", "sin(theta)", "cos(theta)"]
     assert (cfg.env.dt, cfg.task.outputs, cfg.task.reference.high) == (0.04, ["p", "theta"], [0.3, 0.0])
 
@@ -89,16 +81,14 @@ def test_a_plant_of_which_nobody_says_that_it_stays_is_moved_little_at_first():
     ],
 )
 def test_a_rig_that_is_really_there_is_moved_little_at_first_whatever_the_file_of_its_plant_says(words, first):
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        cfg = compose("rig", overrides=["system=tras", *words])
+    cfg = composed("rig", "system=tras", *words)
     assert cfg.plant.get("first") == {"plant.first=0.02": 0.02, "~plant.first": None}.get(words[-1], 1.0)
     assert instantiate(cfg.excitation, _convert_="all")(n_u=2, dt=0.05).first == first
 
 
 def test_a_rehearsal_has_the_bounds_and_the_start_of_its_plant():
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        words = ["system=pendulum", "+plant.bounds={theta: 2.0}", "+plant.start={theta: [0.1, 0.5]}"]
-        given, bare = (instantiate(compose("rig", overrides=w).rig, _convert_="all") for w in (words, words[:1]))
+    words = ["system=pendulum", "+plant.bounds={theta: 2.0}", "+plant.start={theta: [0.1, 0.5]}"]
+    given, bare = (instantiate(composed("rig", *w).rig, _convert_="all") for w in (words, words[:1]))
     assert (given.keywords["bounds"], given.keywords["start"]) == ({"theta": 2.0}, {"theta": [0.1, 0.5]})
     assert bare.keywords["bounds"] == bare.keywords["start"] == {}
 
@@ -107,9 +97,8 @@ def test_a_rehearsal_has_the_bounds_and_the_start_of_its_plant():
     ("system", "period", "samples"), [("tras", 0.05, 5), ("xi", 0.05, 5), ("tanks", 2.0, 5), ("reactor", 3.0, 40)]
 )
 def test_a_recording_of_a_plant_has_its_pace(system, period, samples):
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        words = [f"system={system}", f"hydra.searchpath=[file://{EXAMPLES / 'conf'}]", "sensors=bench"]
-        data = compose("identify", overrides=words[: 3 if system in ("tras", "xi") else 2]).data
+    words = [f"system={system}", f"hydra.searchpath=[file://{EXAMPLES / 'conf'}]", "sensors=bench"]
+    data = composed("identify", *words[: 3 if system in ("tras", "xi") else 2]).data
     found = instantiate(data, _convert_="all")
     assert (found.period, found.samples, found.dt, found.validation_seconds) == (period, samples, None, None)
     assert (found.sensors is None) == (system not in ("tras", "xi"))
@@ -117,12 +106,12 @@ def test_a_recording_of_a_plant_has_its_pace(system, period, samples):
 
 @pytest.fixture(scope="module")
 def default_setting():
-    return OmegaConf.to_container(composed("setting=rollouts_800", command="ablation"), resolve=False)
+    return OmegaConf.to_container(composed("ablation", "setting=rollouts_800"), resolve=False)
 
 
 @pytest.mark.parametrize("setting", sorted(file.stem for file in (CONF / "setting").glob("*.yaml")))
 def test_every_setting_of_the_ablation_differs_from_its_default_in_what_it_names(setting, default_setting):
-    cfg = OmegaConf.to_container(composed(f"setting={setting}", command="ablation"), resolve=False)
+    cfg = OmegaConf.to_container(composed("ablation", f"setting={setting}"), resolve=False)
     text = (CONF / "setting" / f"{setting}.yaml").read_text()
     changed = {key for key in cfg if cfg[key] != default_setting[key]}
     assert changed <= {line.partition(":")[0] for line in text.splitlines()} | {"world_model"}
@@ -131,7 +120,7 @@ def test_every_setting_of_the_ablation_differs_from_its_default_in_what_it_names
 
 @pytest.mark.parametrize("system", [plant for plant in PLANTS if plant != "gymnasium"])
 def test_a_bench_measures_what_the_file_of_the_plant_says(system):
-    if not composed(f"system={system}").plant.get("sensors"):
+    if not composed("train", f"system={system}").plant.get("sensors"):
         pytest.skip(f"{system} names no sensors, so it has no bench")
     cfg, parts = build(f"system={system}", "sensors=bench_delay", "experiment=smoke")
     observer = parts.sensing.observer
@@ -143,8 +132,7 @@ def test_a_bench_measures_what_the_file_of_the_plant_says(system):
 @pytest.mark.parametrize("system", ["tras", "trms33", "xi"])
 def test_the_twin_rotors_have_the_bench_of_a_real_one(system):
     # Encoders of 4096 counts per turn, noise of 20 rpm on the speeds.
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        sensors = OmegaConf.to_container(compose("train", overrides=[f"system={system}"]).plant.sensors)
+    sensors = OmegaConf.to_container(composed("train", f"system={system}").plant.sensors)
     count = pytest.approx(2 * math.pi / 4096, rel=1e-6)
     assert sensors == {
         **{angle: {"resolution": count, "noise": 0.0} for angle in ("alpha_a", "alpha_p")},
@@ -169,9 +157,8 @@ def test_each_group_of_a_plant_without_what_may_be_left_out_resolves_by_itself(c
     )
     (tmp_path / "system" / "mine.yaml").write_text("\n".join(lines))
     sensors = ["sensors=bench"] if command in ("train", "rig") else []
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        words = [*(["system=mine"] if command != "evaluate" else []), f"hydra.searchpath=[file://{tmp_path}]", *sensors]
-        cfg = compose(command, overrides=words)
+    words = [*(["system=mine"] if command != "evaluate" else []), f"hydra.searchpath=[file://{tmp_path}]", *sensors]
+    cfg = composed(command, *words)
     groups = [name for name in cfg if OmegaConf.is_dict(cfg._get_node(name)) and "_target_" in cfg[name]]
     assert command == "evaluate" or groups
     for name in groups:
@@ -214,8 +201,7 @@ def test_runs_over_seeds_do_not_share_their_random_excitation(signal):
 
 
 def test_the_gate_of_the_library_is_that_of_the_default():
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        gate = instantiate(compose("train").gate)
+    gate = instantiate(composed("train").gate)
     assert vars(gate) == vars(Gate())
 
 
@@ -231,6 +217,5 @@ def test_the_gate_of_the_library_is_that_of_the_default():
 @pytest.mark.parametrize("sign", ["", "+"])
 def test_keys_of_ones_own_are_given_as_documented(command, override, key, value, sign):
     given = ["system=logged"] if command == "train" else []
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        cfg = compose(command, overrides=[*given, sign + override])
+    cfg = composed(command, *given, sign + override)
     assert OmegaConf.select(cfg, key) == value

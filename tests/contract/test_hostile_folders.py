@@ -13,7 +13,7 @@ import joblib
 import pytest
 import torch
 import yaml
-from hydra import compose, initialize_config_dir
+from configs import composed
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
@@ -37,11 +37,8 @@ class Touch:
 def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("good") / "run"
     folder.mkdir()
-    with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
-        config = compose(
-            "train",
-            [f"folder={folder}", "experiment=smoke", "env.substeps=1", "agent.hidden=[4]", "scenario.seconds=2"],
-        )
+    words = [f"folder={folder}", "experiment=smoke", "env.substeps=1", "agent.hidden=[4]", "scenario.seconds=2"]
+    config = composed("train", *words)
     (folder / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
     policy = instantiate(config.agent, _convert_="all")(n_obs=8, n_u=2).deployed
     torch.save(policy.state_dict(), folder / "policy.pt")

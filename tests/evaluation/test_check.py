@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from carts import Law, make_cart, make_loop
-from hydra import compose, initialize_config_dir
+from configs import composed
 from omegaconf import OmegaConf
 
 from dynasindy.control import Controller, Observer
@@ -180,11 +180,6 @@ def good():
     return check(make_loop(observer={}), TWO_TARGETS)
 
 
-def composed():
-    with initialize_config_dir(str(Path(__file__).parents[2] / "conf"), version_base="1.3"):
-        return compose("train", ["system=xi"])
-
-
 def by_name(found, thresholds=None):
     return {each.code.removeprefix("check."): each for each in check_verdict(found, thresholds)}
 
@@ -280,7 +275,7 @@ def test_drawn_plants_without_a_rest_or_that_run_away_in_flight_are_counted(good
 
 
 def test_every_finding_that_may_be_weak_has_a_remedy_whose_settings_exist():
-    cfg = OmegaConf.to_container(composed())
+    cfg = OmegaConf.to_container(composed("train", "system=xi"))
     assert {code for code in SENTENCES if code.startswith("check.")} == {*REMEDIES}
     for remedy in REMEDIES.values():
         for key in re.findall(r"<((?:\w+\.)+\w+)=", remedy):

@@ -8,7 +8,7 @@ from pathlib import Path
 import forked
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
+from configs import composed
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
@@ -21,8 +21,7 @@ SCENARIOS = sorted(path.stem for path in (REPOSITORY / "conf" / "scenario").glob
 @pytest.fixture(scope="module")
 def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
-        config = compose("train", [f"folder={folder}", "experiment=smoke", "env.substeps=1", "scenario.seconds=2"])
+    config = composed("train", f"folder={folder}", "experiment=smoke", "env.substeps=1", "scenario.seconds=2")
     (folder / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
     policy = instantiate(config.agent, _convert_="all")(n_obs=8, n_u=2).deployed
     torch.save(policy.state_dict(), folder / "policy.pt")
@@ -89,8 +88,7 @@ def short_of(config: DictConfig) -> tuple[DictConfig, ControlEnv]:
 
 
 def run_of(plant: str) -> tuple[DictConfig, ControlEnv]:
-    with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
-        return short_of(compose("train", ["folder=x", f"system={plant}"]))
+    return short_of(composed("train", f"system={plant}"))
 
 
 @pytest.mark.parametrize("plant", ["tras", "xi"])
@@ -124,9 +122,9 @@ def test_what_a_run_says_of_a_twin_rotor_counts_as_a_whole(saved_run) -> None:
 
 
 def test_scenarios_follow_a_plant_with_one_output_and_its_sensors(saved_run) -> None:
-    with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
-        config = compose("train", ["folder=x", "system=pendulum", "env.dt=0.1", "task.max_steps=50"])
-    config, env = short_of(config)  # targets of -1 to 1 rad, episodes of 5 s
+    config, env = short_of(
+        composed("train", "folder=x", "system=pendulum", "env.dt=0.1", "task.max_steps=50")
+    )  # targets of -1 to 1 rad, episodes of 5 s
     sine, square = (saved_run.load_scenario(name, config, env) for name in ("sine", "square"))
     rows = sine.reference.sample(torch.Size(()), torch.Generator())
     torch.testing.assert_close(rows, torch.tensor([[0.0, 0.5, 0.2, 0.0, 0.0]]))

@@ -1,31 +1,20 @@
 """What keys and configs may hold: what is not allowed costs one line that names the key and what is."""
 
-import copy
 import importlib
 import math
 import re
 import shlex
-from functools import cache
 from pathlib import Path
 
 import forked
 import pytest
 from cli import CONF
 from command import in_words, read_words
-from hydra import compose, initialize_config_dir
+from configs import composed
 from omegaconf import OmegaConf
 from settings import check
 
 ALL = ("train", "ablation", "identify", "evaluate", "report", "export", "check")
-
-
-@cache
-def composed(command, *overrides):
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        cfg = compose(command, list(overrides))
-    if "folder" in cfg:
-        cfg.folder = "run"
-    return cfg
 
 
 def test_the_file_of_a_plant_without_its_header_is_named_as_such(tmp_path):
@@ -55,7 +44,7 @@ def test_what_conf_holds_is_allowed_and_stays_as_it_is(command):
     ],
 )
 def test_a_number_of_another_type_becomes_what_is_wanted(key, given, taken):
-    cfg = copy.deepcopy(composed("train"))
+    cfg = composed("train")
     OmegaConf.update(cfg, key, given, merge=False)
     check(cfg)
     found = OmegaConf.select(cfg, key)
@@ -136,8 +125,7 @@ def test_a_word_in_capitals_that_is_copied_as_it_stands_costs_one_line(tmp_path,
 @pytest.mark.parametrize("word", ["sensors.channels.alpha_a.resolution=5", "+sensors.channels.alpha_a.resolution=5"])
 def test_a_key_that_follows_another_one_names_it(word):
     others = ["system=tras", "sensors=bench"]
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        good = compose("train", [*others, "plant.sensors.alpha_a.resolution=5"])
+    good = composed("train", *others, "plant.sensors.alpha_a.resolution=5")
     assert good.sensors.channels.alpha_a.resolution == 5
     key = word.lstrip("+").partition("=")[0]
     with pytest.raises(ValueError, match=rf"'{key}' .* plant\.sensors\.alpha_a\.resolution"):
