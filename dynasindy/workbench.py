@@ -341,7 +341,7 @@ def _pushes(controller: Controller, model: SindyModel, data: Transitions) -> Ten
     """
     if controller.observer is None:
         return None
-    part = _longest_stretch(data)
+    part = data.longest_stretch()
     part = part.select(torch.arange(len(part)) >= len(part) - MOST_ROWS)
     late, watched, observer = delay_inputs(part, model.delay), copy.copy(model), copy.copy(controller.observer)
     watched.delay = 0.0
@@ -386,13 +386,6 @@ def _with_static_friction(model: SindyModel, dt: float) -> tuple[SindyModel, int
     return (found, steps) if len(found.library) == len(features) else None  # else two have become one
 
 
-def _longest_stretch(data: Transitions) -> Transitions:
-    """Return the longest stretch of a recording without a break."""
-    labels, counts = data.segment.unique_consecutive(return_counts=True)
-    longest: Transitions = data.select(data.segment == labels[int(counts.argmax())])
-    return longest
-
-
 def _watching(model: SindyModel, sensors: Sensors, setup: ControlSetup, log: Source | None) -> Observer:
     """Return an observer that has learnt its process noise from a log."""
     if log is None:
@@ -401,7 +394,7 @@ def _watching(model: SindyModel, sensors: Sensors, setup: ControlSetup, log: Sou
     stride = round(setup.dt / data.dt)
     if stride < 1 or abs(stride * data.dt - setup.dt) > 1e-6 * setup.dt:
         raise ValueError(f"dt is {setup.dt} s, no multiple of the log's sampling time {data.dt:.6g} s; give another")
-    part = _longest_stretch(data)
+    part = data.longest_stretch()
     periods = len(part) // stride
     if periods < 2:
         raise ValueError(f"the longest stretch of the log has {len(part)} samples; give one of two periods or more")

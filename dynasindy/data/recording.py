@@ -287,11 +287,12 @@ class LogReader:
         inputs = _with_units(inputs if plant is None else _with_actuator_ranges(inputs, plant), False)
         frame = table.frame.where(np.isfinite(table.frame))
         frame = _without_copies(_hold_inputs(frame, driving, findings), driving, findings)
-        frame, whole = _with_times(frame, driving, findings)
+        frame = _with_times(frame, driving, findings)
         t, of_time = in_seconds(replace(table, frame=frame), unit, self.dt)
-        if (np.diff(t) < 0).any() and (ordered := _in_order(frame, driving, findings)) is not None:
-            frame, whole = ordered, ordered.iloc[:, driving].notna().all(axis=1).to_numpy()
+        if (np.diff(t) < 0).any():
+            frame = _in_order(frame, driving, findings)
             t, of_time = in_seconds(replace(table, frame=frame), unit, self.dt)
+        whole = frame.iloc[:, driving].notna().all(axis=1).to_numpy()
         t, lines, values = t[whole], frame.index[whole], frame.to_numpy()[whole].T
         if len(t) < 2:
             raise LogError("log.too_few", path=path, count=0, least=LEAST, left_out=[])
@@ -307,8 +308,8 @@ class LogReader:
         return _Part(path, states, inputs, t, x, u, [*of_time, *findings])
 
 
-def _with_times(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> tuple[pd.DataFrame, NDArray[np.bool_]]:
-    """Return rows with a time, all of which tell a clock, and which have all inputs; what is missing is counted."""
+def _with_times(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> pd.DataFrame:
+    """Return rows with a time, all of which tell a clock; what is missing in them, as inputs are, is counted."""
     bad = frame.isna().to_numpy()
     needed = np.zeros(bad.shape[1], dtype=bool)
     needed[0] = needed[driving] = True
@@ -324,8 +325,7 @@ def _with_times(frame: pd.DataFrame, driving: slice, findings: list[Finding]) ->
                 "skipped": skips,
             }
             findings.append(note("log.missing", **facts))
-    timed = ~bad[:, 0]
-    return frame if timed.all() else frame[timed], ~skipped[timed]
+    return frame[~bad[:, 0]]
 
 
 def _without_copies(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> pd.DataFrame:
@@ -339,13 +339,13 @@ def _without_copies(frame: pd.DataFrame, driving: slice, findings: list[Finding]
     return frame[kept]
 
 
-def _in_order(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> pd.DataFrame | None:
+def _in_order(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> pd.DataFrame:
     """Return rows in the order of their times, unless steps are shorter then, as where a clock was set back."""
     said = list[Finding]()
     ordered = _without_copies(frame.sort_values(frame.columns[0], kind="stable"), driving, said)
     steps, late = np.diff(ordered.iloc[:, 0]), np.diff(frame.iloc[:, 0]) < 0
     if steps.min() < 0.6 * np.median(steps):
-        return None
+        return frame
     findings += [note("log.sorted", count=int(late.sum()), line=int(frame.index[1:][late][0])), *said]
     return ordered
 

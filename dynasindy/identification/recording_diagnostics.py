@@ -40,8 +40,7 @@ TINY = 1e-9
 
 def samples_of(data: Transitions) -> list[Array]:
     """Return the samples of each state in its longest unbroken stretch."""
-    labels, counts = data.segment.unique_consecutive(return_counts=True)
-    return _all_samples_of(data.select(data.segment == labels[int(counts.argmax())]))
+    return _all_samples_of(data.longest_stretch())
 
 
 def _all_samples_of(data: Transitions) -> list[Array]:

@@ -161,6 +161,11 @@ class Transitions:
         first[1:] = self.segment[1:] != self.segment[:-1]
         return first
 
+    def longest_stretch(self) -> Transitions:
+        """Return the longest part of a recording without a break."""
+        labels, counts = self.segment.unique_consecutive(return_counts=True)
+        return self.select(self.segment == labels[int(counts.argmax())])
+
     def observed(self, read: Callable[[Tensor], Tensor]) -> Transitions:
         """Return a recording as sensors would have logged it; a state that two rows share is read once.
 
