@@ -155,10 +155,10 @@ def simulate(
     rows, task = _rows(targets, controller.outputs), controller.setup.task
     if start is not None:
         task = task.with_starts(mine.start_ranges(dict(start), "start")[:1].double())
-    env, policy, sensing = closed_loop(controller, plant, task, seed)
+    env, policy = closed_loop(controller, plant, task)
     env.delay = float(getattr(plant, "delay", 0.0))
     scenario = Scenario("simulation", Step(rows), len(rows), seconds, seed=seed)
-    return Simulation(evaluate(env, policy, scenario, None if sensing is None else sensing.on(env, sensing.rng)))
+    return Simulation(evaluate(env, policy, scenario, controller.observer))
 
 
 @checked

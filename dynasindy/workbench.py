@@ -39,7 +39,6 @@ from dynasindy.agents import Actor
 from dynasindy.control import Controller, Observer
 from dynasindy.control.controller import ControlSetup, IntegralAction, acting
 from dynasindy.control.period import as_planned, suited_period
-from dynasindy.control.sensing import Sensing
 from dynasindy.envs import Channel, ControlEnv, RandomStep, Sensors, Tracking, TrackingReward
 from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.metrics import to_text
@@ -196,7 +195,6 @@ def forecast(
     model: SindyModel,
     log: Source | None = None,
     scenario: Scenario | None = None,
-    seed: int = 0,
     within: float = WITHIN,
 ) -> Forecast:
     """Predict what a controller will do, on models fitted to data that neither it nor its model has seen.
@@ -212,7 +210,6 @@ def forecast(
         log: The log that the model was identified from; if omitted, or if none of it was kept, the model itself is
             flown, which promises nothing.
         scenario: What to fly; if omitted, 64 steps over the range of the targets, as long as the task's episodes.
-        seed: Seed of the sensors' noise.
         within: Mean absolute error at the end that is asked for, in target ranges.
 
     Returns:
@@ -226,11 +223,11 @@ def forecast(
         if setup.task.ends is None:
             raise ValueError("the task has no range of targets, low and high, to fly steps in; give a scenario")
         scenario = Scenario("step", step_references(*setup.task.ends, FLOWN), FLOWN, None)
-    env, policy, sensing = closed_loop(controller, model, setup.task, seed)
+    env, policy = closed_loop(controller, model, setup.task)
     rests = find_task_equilibria(env)
     never = "" if rests is None else unheld(env, rests)
     if log is None or not len(log.validation):
-        own = Forecast.of([model], env, policy, scenario, sensing, within)
+        own = Forecast.of([model], env, policy, scenario, controller.observer, within)
         return replace(own, in_sample=True, no_equilibrium=never)
     log = log.with_states_of(model)
     unseen = "what the plan has not seen"
@@ -238,14 +235,12 @@ def forecast(
     pushes = [_pushes(controller, model, part) for part in (log.training, log.validation)]
     known = [each for each in pushes if each is not None]
     moved = torch.cat(known) if known else None
-    found = Forecast.of(models or [model], env, policy, scenario, sensing, within, moved)
+    found = Forecast.of(models or [model], env, policy, scenario, controller.observer, within, moved)
     found = replace(found, in_sample=not models)
     if (made := _with_static_friction((models or [model])[0], controller.dt)) is not None:
         with_friction, steps = made
-        finer = ControlSetup(setup.task, setup.dt, max(steps, setup.substeps), setup.stops)
-        finest = Controller(controller.policy, finer, controller.observer, controller.integral)
-        env, policy, sensing = closed_loop(finest, model, setup.task, seed)
-        flights = Forecast.of([with_friction], env, policy, scenario, sensing, within, moved).flights
+        env, policy = closed_loop(controller, model, setup.task, steps)
+        flights = Forecast.of([with_friction], env, policy, scenario, controller.observer, within, moved).flights
         found = replace(found, static_friction=flights)
     doubts = _doubts(model, log, LONGEST * controller.dt)
     doubts += [short] if (short := refit_shortage(model, log)) else []
@@ -258,26 +253,24 @@ def forecast(
 
 
 def closed_loop(
-    controller: Controller, system: System, task: Tracking, seed: int = 0
-) -> tuple[ControlEnv, Policy, Sensing | None]:
-    """Return what `evaluate` needs to let a controller control a plant or a model.
+    controller: Controller, system: System, task: Tracking, substeps: int = FINE
+) -> tuple[ControlEnv, Policy]:
+    """Return what `evaluate` needs, beside its observer, to let a controller control a plant or a model.
 
     Args:
         controller: The controller; it is not changed.
         system: Plant or model.
         task: Task of the controller, with references and starts of its own.
-        seed: Seed of the sensors' noise.
+        substeps: Runge-Kutta steps of a control period, at least.
 
     Returns:
-        Environment, policy with its integral action, and sensors with their observer, None where all states are seen.
+        Environment, and policy with its integral action.
     """
     setup, policy = controller.setup, controller.policy
     if controller.integral is not None:
         policy = IntegralAction(policy, setup, **controller.integral)
-    env = ControlEnv(system, task, setup.dt, max(FINE, setup.substeps), dtype=torch.float64, seed=seed)
-    if controller.observer is None:
-        return env, acting(policy, env), None
-    return env, policy, Sensing(env, controller.observer, torch.Generator().manual_seed(seed))
+    env = ControlEnv(system, task, setup.dt, max(substeps, setup.substeps), dtype=torch.float64)
+    return env, acting(policy, env) if controller.observer is None else policy
 
 
 def _doubts(model: SindyModel, log: Source, seconds: float) -> list[Finding]:

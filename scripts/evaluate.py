@@ -10,7 +10,7 @@ from cli import command
 @command("evaluate")
 def main(cfg: Any) -> None:
     """Run the policy in each scenario, print its table and write its figures."""
-    from saved_run import load_config, load_policy, load_scenario, load_sensing
+    from saved_run import load_config, load_observer, load_policy, load_scenario
 
     from dynasindy.control.controller import IntegralAction
     from dynasindy.evaluation.metrics import to_text
@@ -28,7 +28,7 @@ def main(cfg: Any) -> None:
     folder = Path(cfg.run)
     config = load_config(folder, cfg.plugins)
     env, policy = load_policy(config, folder)
-    sensing = load_sensing(config, folder, env)
+    observer = load_observer(config, folder, env)
     name = name_by_planning(config.planning)
     if cfg.integral:
         policy, name = IntegralAction(policy, env), f"{name}, integral action"
@@ -36,7 +36,7 @@ def main(cfg: Any) -> None:
     within, verdicts = config.evaluation.get("within", WITHIN), []
     system = env.system if env.system.known else SindyModel.load(folder / "model.json")
     for scenario in [load_scenario(each, config, env) for each in cfg.scenarios]:  # a wrong one before the first
-        result = evaluate(env, policy, scenario, sensing)
+        result = evaluate(env, policy, scenario, observer)
         result.save(out)
         draw_evaluation(result, out, name, cfg.formats)
         if cfg.animate:
@@ -44,7 +44,7 @@ def main(cfg: Any) -> None:
         table = to_text(result.summary(), result.title, result.state_units, result.told_steady_seconds, width())
         say(table, *lines(result.beyond_targets), "")
         matter = states_that_matter(system, result.columns, result.trajectory["state"][0, 0])
-        rerun = partial(evaluate, env, policy, scenario, sensing) if env.system.known else None
+        rerun = partial(evaluate, env, policy, scenario, observer) if env.system.known else None
         _, verdict = judge_control([judge_tracking(result, matter, rerun)], within)
         verdicts.append(f"  {scenario.name}: {verdict}")
     say("Verdict, against the error that was asked for:", *verdicts, f"Figures, tables and trajectories: {out}")

@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import torch
 from cli import CONF, IN_CLONE, command_line, group_options, next_steps, program, run_steps, without
 from command import compose, unknown_name
 from hydra.core.hydra_config import HydraConfig
@@ -24,7 +23,6 @@ from settings import check, plugins_of, read_config
 from dynasindy.control import Observer, load, save
 from dynasindy.control.controller import NAME
 from dynasindy.control.period import suited_period
-from dynasindy.control.sensing import Sensing
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.recorder import Evaluating
@@ -213,7 +211,7 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
         controller = plan(model, task, source, parts["sensors"], dt, cfg.seed, **planning)
         save(controller, folder / NAME)  # before the forecast, which may fail
         scenario = replace(parts["scenario"], seconds=None, lengths=1.0)  # as long as the task's episodes
-        prediction = forecast(controller, model, source, scenario, cfg.seed, cfg.evaluation.get("within", WITHIN))
+        prediction = forecast(controller, model, source, scenario, cfg.evaluation.get("within", WITHIN))
     except (KeyboardInterrupt, Exception) as stop:
         if (folder / NAME).is_file():
             say(f"Controller: {folder / NAME}, of which nothing is promised")
@@ -285,8 +283,8 @@ def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
     return env, policy
 
 
-def load_sensing(config: DictConfig, folder: Path, env: ControlEnv) -> Sensing | None:
-    """Return sensors and observer through which the policy of a run sees the plant, None if it sees all states."""
+def load_observer(config: DictConfig, folder: Path, env: ControlEnv) -> Observer | None:
+    """Return the observer by which the policy of a run sees the plant, None if it sees all states."""
     file, sensors = folder / "observer.json", instantiate(config.get("sensors"), _convert_="all")
     if sensors is None and not file.is_file():
         return None
@@ -298,7 +296,7 @@ def load_sensing(config: DictConfig, folder: Path, env: ControlEnv) -> Sensing |
     observer, record = Observer(model, sensors, env), read_json(file)
     with reading(file):
         observer.load_state_dict(record)
-    return Sensing(env, observer, torch.Generator())
+    return observer
 
 
 def load_scenario(name: str, config: DictConfig, env: ControlEnv) -> Scenario:

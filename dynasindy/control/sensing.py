@@ -56,9 +56,9 @@ class Sensing(Transform):
         """
         return torch.cat([rows["measurement"][:1], rows["next", "samples"][:, -1]]), rows["action"]
 
-    def on(self, env: ControlEnv, rng: torch.Generator) -> Sensing:
-        """Return the same sensors and observer for another environment of the same plant, with their own generator."""
-        return Sensing(env, self.observer, rng, self.sensors)
+    def on(self, env: ControlEnv) -> Sensing:
+        """Return the same sensors, generator and observer for another environment of the same plant."""
+        return Sensing(env, self.observer, self.rng, self.sensors)
 
     def controller(self, policy: Policy) -> Policy:
         """Return a policy as it acts behind the observer, whose estimate of a push it counteracts, if there is one."""

@@ -117,8 +117,8 @@ class Recorder(Callback):
             phase: What is under way, in words.
             seconds: Length of the runs [s]; that of the scenario if omitted.
         """
-        parts = self.parts
-        evaluation = evaluate(self.plant, parts.agent.deployed, self.evaluating.scenario, parts.sensing, phase, seconds)
+        policy, observer = self.parts.agent.deployed, self.parts.sensing and self.parts.sensing.observer
+        evaluation = evaluate(self.plant, policy, self.evaluating.scenario, observer, phase, seconds)
         moved = evaluation.trajectory["next"].get("moved", None)  # of rows that may end before the others
         self.evaluation_steps += evaluation.trajectory.numel() if moved is None else int(moved.sum())
         return evaluation

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dynasindy.control.sensing import Sensing
+from dynasindy.control.observer import Observer
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
 from dynasindy.evaluation.tracking_criteria import WITHIN, TrackingCriteria, judge_control, judge_tracking
@@ -57,7 +57,7 @@ class Forecast:
         plan: ControlEnv,
         policy: Policy,
         scenario: Scenario,
-        sensing: Sensing | None = None,
+        observer: Observer | None = None,
         within: float = WITHIN,
         pushes: Tensor | None = None,
     ) -> Forecast:
@@ -70,7 +70,7 @@ class Forecast:
             plan: Environment that was planned in: task, control period and stops are its own.
             policy: Policy to fly.
             scenario: Situation to fly in.
-            sensing: Sensors and observer through which the policy sees a plant.
+            observer: Observer by whose estimates, and sensors, the policy sees a plant.
             within: Mean absolute error at the end that is asked for, in target ranges.
             pushes: What moves the models besides, see `ControlEnv.pushes`; nothing if omitted. All models but the first
                 get pushes as large as they may be in the long run.
@@ -82,9 +82,8 @@ class Forecast:
         for k, model in enumerate(models):
             env = plan.with_system(model, torch.float64)
             env.delay = float(getattr(model, "delay", 0.0))
-            seen = None if sensing is None else sensing.on(env, sensing.rng)
             result, flight = None, None
-            fly = partial(evaluate, env, policy, scenario, seen)
+            fly = partial(evaluate, env, policy, scenario, observer)
             with suppress(Diverged):
                 result = fly(f"flights on model {k + 1} of {len(models)}")
                 if not bool(result.lost.any()):

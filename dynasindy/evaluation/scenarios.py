@@ -21,6 +21,8 @@ from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.agents.replay import require_finite_rollout
+from dynasindy.control.controller import acting
+from dynasindy.control.observer import Observer
 from dynasindy.control.sensing import Sensing
 from dynasindy.envs import ControlEnv, Reference, Step, Task, Tracking
 from dynasindy.envs.control_env import FARTHEST
@@ -358,7 +360,7 @@ def evaluate(
     env: ControlEnv,
     policy: Policy,
     scenario: Scenario,
-    sensing: Sensing | None = None,
+    observer: Observer | None = None,
     phase: str = "",
     seconds: float | None = None,
 ) -> Evaluation:
@@ -370,8 +372,8 @@ def evaluate(
         env: Environment whose plant, task and control period are meant.
         policy: Policy to run; its exploration is off.
         scenario: Situation to run it in.
-        sensing: Sensors and observer through which the policy sees the plant; the metrics see it as it is. Noise of the
-            scenario is then added to the measurements.
+        observer: Observer by whose estimates, and sensors, the policy sees the plant; the metrics see it as it is.
+            Noise of the scenario is then added to the measurements.
         phase: What is under way, in words; the scenario's name says it by default.
         seconds: Length of the run [s]; that of the scenario if omitted.
 
@@ -384,24 +386,23 @@ def evaluate(
             reward that is not finite. A plant that runs away is left at the end of `FARTHEST` ranges.
     """
     scenario = replace(scenario, seconds=scenario.length(env) if seconds is None else seconds)
-    calm, task = _prepare(env, scenario, 0 if sensing is None else sensing.observer.width)
-    wrapped = policy if sensing is None else sensing.on(calm, sensing.rng).controller(policy)
+    calm, task = _prepare(env, scenario, 0 if observer is None else observer.width)
+    wrapped = policy if observer is None else acting(policy, calm, bool(observer.pushed))
+    sensing, sensors = None, None if observer is None else observer.sensors
     disturbing: list[object] = [scenario.plant(calm.system)] if scenario.plant else []
     noise = torch.zeros(env.system.signature.n_x, dtype=torch.float64)
     for wrap in scenario.wrappers:
         wrapped = wrap(wrapped, calm)
         disturbing.append(wrapped)
         noise = wrapped.std if isinstance(wrapped, SensorNoise) else noise
-        if sensing is not None and isinstance(wrapped, SensorNoise):  # noise is of what the observer reads
+        if sensors is not None and isinstance(wrapped, SensorNoise):  # of what the observer reads, which it knows not
             std = dict(zip(env.system.signature.state_names, wrapped.std.tolist(), strict=True))
-            louder = sensing.sensors.noisier(std)  # than the observer knows of
-            sensing, wrapped = Sensing(sensing.env, sensing.observer, sensing.rng, louder), wrapped.policy
+            sensors, wrapped = sensors.noisier(std), wrapped.policy
     state = task.initial_state(torch.Size((scenario.episodes,)), calm.rng)
     start: TensorDictBase = calm.start_from(state)
-    if sensing is not None:
-        sensing = sensing.on(calm, torch.Generator().manual_seed(scenario.seed))
-        start = sensing.begin(start)
-        noise = sensing.sensors.variance(env.system.signature).sqrt()
+    if observer is not None and sensors is not None:
+        sensing = Sensing(calm, observer, torch.Generator().manual_seed(scenario.seed), sensors)
+        start, noise = sensing.begin(start), sensors.variance(env.system.signature).sqrt()
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng():
         trajectory = _run(calm, wrapped, scenario, start, sensing, phase or f"policy in scenario '{scenario.name}'")
     words = tuple(each.summary() for each in disturbing if hasattr(each, "summary"))
@@ -456,7 +457,7 @@ def _run(
         if begins == ends:
             continue
         plant = calm.with_system(scenario.plant(calm.system)) if k % 2 and scenario.plant else calm
-        env = plant if sensing is None else TransformedEnv(plant, sensing.on(plant, sensing.rng))
+        env = plant if sensing is None else TransformedEnv(plant, sensing.on(plant))
         part = env.rollout(ends - begins, policy, _told, auto_reset=False, tensordict=start, break_when_any_done=False)
         start = env.step_mdp(part[..., -1])
         parts.append(part)

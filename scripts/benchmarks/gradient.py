@@ -268,7 +268,7 @@ def judge(case: Case, plant: str, parts: Components, seed: int) -> Iterable[tupl
             result = evaluate(parts.plant, parts.agent.deployed, Scenario(name, wave, 1, seconds))
             yield name, "rmse", _numbers(result, result.metrics["rmse"])
         return
-    env = parts.plant
+    env, observer = parts.plant, parts.sensing and parts.sensing.observer
     if case.detuned:  # every constant of its own is off by up to 10 %
         env = env.with_system(Tras(constants=detuned(TrasConstants(), 0.1, 1000 + seed)))
     policies: dict[str, Policy] = {"": parts.agent.deployed}
@@ -277,11 +277,11 @@ def judge(case: Case, plant: str, parts: Components, seed: int) -> Iterable[tupl
     for suffix, policy in policies.items():
         if case.detuned:
             gust = Scenario("detuned_gust", steps, 64, 30.0, partial(PerturbedPlant, push=GUST), [(12.0, 15.0)])
-            result = evaluate(env, policy, gust, parts.sensing)
+            result = evaluate(env, policy, gust, observer)
             late = (result.trajectory["reference"] - result.outputs).abs()[:, result.time >= 20.0].amax(1)
             yield f"detuned_gust{suffix}", "max_abs_error_5s_after_gust", _numbers(result, late)
         else:
-            result = evaluate(env, policy, Scenario("step", steps, 64), parts.sensing)
+            result = evaluate(env, policy, Scenario("step", steps, 64), observer)
             yield f"step{suffix}", "mean_abs_error_last_5s", _numbers(result, result.metrics["steady_state_error"])
 
 

@@ -100,7 +100,7 @@ def test_the_library_does_what_the_command_does(log, tmp_path):
     flights = [flight(each.act) for each in (*controllers, dynasindy.load(tmp_path))]
     assert np.array_equal(flights[0], flights[1]) and np.array_equal(flights[0], flights[2])
     assert np.abs(flights[0][0][-20:] + 0.3).max() < 0.03
-    forecast = dynasindy.forecast(controllers[0], model, read, seed=3, within=0.05)
+    forecast = dynasindy.forecast(controllers[0], model, read, within=0.05)
     assert forecast.controlled and forecast.promised and not replace(forecast, within=1e-9).controlled
 
 

@@ -144,9 +144,8 @@ def test_measurements_beyond_all_limits_count_as_lost():
 def test_it_flies_as_the_evaluation_does_behind_sensors(disturbance, integral):
     env, policy = setting()
     observer = watching(env, disturbance)
-    sensing = Sensing(env, observer, torch.Generator().manual_seed(0))
     wrapped = policy if integral is None else IntegralAction(policy, env, **integral)
-    expected = evaluate(env, wrapped, Scenario("step", seconds=4.0), sensing).trajectory[0]
+    expected = evaluate(env, wrapped, Scenario("step", seconds=4.0), observer).trajectory[0]
     controller = Controller(policy, ControlSetup(env.task, env.dt, env.substeps), observer, integral)
     measured = expected["measurement"].numpy()
     assert np.isnan(measured[:, 1]).all()
@@ -411,7 +410,7 @@ def test_a_constant_push_leaves_no_steady_error_and_without_it_does():
     errors = {}
     for disturbance in (True, False):
         _, sensing, env = pushed(disturbance)
-        result = evaluate(env, steer, scenario, sensing)
+        result = evaluate(env, steer, scenario, sensing.observer)
         errors[disturbance] = result.metrics["steady_state_error"].max().item()
         if disturbance:
             found = result.trajectory["observer", "mean"][:, -50:, 3].mean().item()
@@ -484,7 +483,7 @@ def test_a_plant_without_rates_is_pushed_on_what_is_measured_at_its_own_pace():
         observer = Observer(plant, Sensors({"level": {"noise": 0.01}}, disturbance=disturbance), env)
         assert observer.pushed == ([0] if disturbance else [])
         observer.learn(y.double(), u)
-        result = evaluate(env, feed, scenario, Sensing(env, observer, torch.Generator().manual_seed(0)))
+        result = evaluate(env, feed, scenario, observer)
         left[disturbance] = result.metrics["steady_state_error"].max().item()
         if disturbance:
             # The range of its push is how fast the level usually changes, not a range in a second.

@@ -43,7 +43,7 @@ def behind(channels=None, task=None, **settings):
     sensors = Sensors(channels or BENCH, rates=KNOWN, **settings)
     sensing = Sensing(env, Observer(Tras(), sensors, env), torch.Generator().manual_seed(0))
     sensing.observer.nis = 1.0
-    return env, sensing, TransformedEnv(env, sensing.on(env, sensing.rng))
+    return env, sensing, TransformedEnv(env, sensing.on(env))
 
 
 def chirp(steps=80):
@@ -133,7 +133,7 @@ def test_an_estimate_beyond_all_sense_still_gives_numbers():
     env, sensing, _ = behind({"alpha_a": {}})
     wild = Sensing(env, Observer(Exploding(), sensing.sensors, env), torch.Generator().manual_seed(0))
     wild.observer.nis = 1.0
-    rollout = TransformedEnv(env, wild.on(env, wild.rng)).rollout(80, chirp())
+    rollout = TransformedEnv(env, wild.on(env)).rollout(80, chirp())
     scale = torch.tensor(Tras().signature.x_scale, dtype=torch.float64)
     assert float((rollout["next", "state"] / scale).abs().max()) <= 1e4 * (1 + 1e-12)
     for key in ("state", "observation", "reward"):
@@ -146,7 +146,7 @@ def test_rows_of_a_batch_are_those_of_single_episodes():
     policy = TensorDictModule(lambda o: o[..., :2] * 0.5, in_keys=["observation"], out_keys=["action"])
     quiet = Sensors({name: {"resolution": COUNT} for name in ("alpha_a", "alpha_p")}, rates=KNOWN)
     sensing.observer = Observer(Tras(), quiet, env)
-    sensed = TransformedEnv(env, sensing.on(env, sensing.rng))
+    sensed = TransformedEnv(env, sensing.on(env))
 
     def fly(x):
         torch.manual_seed(0)
@@ -296,15 +296,15 @@ def test_an_evaluation_flies_by_estimates_and_is_judged_by_the_truth(changes):
     env, sensing, _ = behind()
     scenario = Scenario("s", Step([[0.3, 0.2], [0.1, -0.1]]), 2, 2.0, **changes)
     before = sensing.rng.get_state()
-    seen = evaluate(env, policy(), scenario, sensing)
+    seen = evaluate(env, policy(), scenario, sensing.observer)
     assert torch.equal(before, sensing.rng.get_state())
-    assert same(seen.trajectory["action"], evaluate(env, policy(), scenario, sensing).trajectory["action"])
+    assert same(seen.trajectory["action"], evaluate(env, policy(), scenario, sensing.observer).trajectory["action"])
 
     def blind(tensordict):
         hidden = tensordict.copy().update({key: tensordict[key] * math.nan for key in TRUTH})
         return tensordict.set("action", policy()(hidden)["action"])
 
-    assert same(evaluate(env, blind, scenario, sensing).trajectory["action"], seen.trajectory["action"])
+    assert same(evaluate(env, blind, scenario, sensing.observer).trajectory["action"], seen.trajectory["action"])
     told, truth = seen.trajectory["estimate"], seen.trajectory["true_state"]
     torch.testing.assert_close(
         seen.trajectory["observation"][..., :6], (told / torch.tensor(env.system.signature.x_scale)).float()
@@ -326,7 +326,7 @@ def test_noise_of_a_scenario_is_of_the_measurement_and_the_observer_filters_it()
         return policy()(tensordict)
 
     scenario = Scenario("s", Step([[0.3, 0.2]]), 16, 3.0, wrappers=[partial(SensorNoise, std=named)])
-    flown = evaluate(env, keeping, scenario, sensing).trajectory
+    flown = evaluate(env, keeping, scenario, sensing.observer).trajectory
     error = (flown["measurement"] - flown["true_state"]).flatten(0, 1)
     # Independent errors add in squares: what the bench has, and what the scenario adds; rates are not measured.
     rounding = COUNT / math.sqrt(12)
@@ -338,5 +338,5 @@ def test_noise_of_a_scenario_is_of_the_measurement_and_the_observer_filters_it()
     assert 0 < float((seen - flown["true_state"])[:, 20:, 4].std()) < 0.8 * wanted[4]
     quiet = Scenario("s", Step([[0.3, 0.2]]), 16, 3.0, wrappers=[partial(SensorNoise, std={})])
     without = Scenario("s", Step([[0.3, 0.2]]), 16, 3.0)
-    flights = [evaluate(env, policy(), each, sensing).trajectory["true_state"] for each in (quiet, without)]
+    flights = [evaluate(env, policy(), each, sensing.observer).trajectory["true_state"] for each in (quiet, without)]
     assert torch.equal(*flights)

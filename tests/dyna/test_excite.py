@@ -122,9 +122,7 @@ def test_behind_sensors_a_pole_that_falls_is_held_after_a_few_tries(spring):
     sensing = Sensing(env, Observer(plant, sensors, env), torch.Generator().manual_seed(0))
     signal = Multisine(1, duration=10.0, dt=0.05, amplitude=0.2, seed=1)
     excited = excite(
-        SimpleNamespace(
-            plant=env, env=TransformedEnv(env, sensing.on(env, sensing.rng)), excitation=signal, sensing=sensing
-        )
+        SimpleNamespace(plant=env, env=TransformedEnv(env, sensing.on(env)), excitation=signal, sensing=sensing)
     )
     begins = [*(excited["step_count"].flatten() == 0).nonzero().flatten().tolist(), 200]
     assert len(begins) <= 5 and max(b - a for a, b in zip(begins, begins[1:], strict=False)) > 80
@@ -243,7 +241,7 @@ def falling_parts(measured):
     if measured:
         sensors = Sensors({"theta": {"resolution": 1.5e-3}}, rates={"theta": "Omega"})
         made.sensing = Sensing(env, Observer(plant, sensors, env), torch.Generator().manual_seed(0))
-        made.env = TransformedEnv(env, made.sensing.on(env, made.sensing.rng))
+        made.env = TransformedEnv(env, made.sensing.on(env))
     return made
 
 
