@@ -77,24 +77,6 @@ def settle() -> Any:
 
 
 @pytest.fixture(scope="session")
-def hearing() -> Any:
-    """Return a callback of a run that keeps what the plant showed."""
-    from dynasindy.dyna.callback import Callback, Episode, Place
-
-    class Hearing(Callback):
-        def __init__(self) -> None:
-            self.rollouts: list[Any] = []
-
-        def fitted(self, report: object, excited: Any, place: Place) -> None:
-            self.rollouts.append(excited)
-
-        def episode(self, episode: Episode, place: Place) -> None:
-            self.rollouts.append(episode.rollout)
-
-    return Hearing
-
-
-@pytest.fixture(scope="session")
 def write_log() -> Any:
     """Return what writes samples of 0.01 s of a pendulum as a log, with the headings of its columns."""
 

@@ -6,16 +6,17 @@ from functools import partial
 
 import pytest
 import torch
+from recipes import Heard, make_recipe
 
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna import Stopped
-from dynasindy.dyna.experiment import LoopSettings, Recipe
+from dynasindy.dyna.experiment import LoopSettings
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.run import Evaluating, run
-from dynasindy.envs import ControlEnv, Multisine, RandomStep, Step, Tracking
+from dynasindy.envs import ControlEnv, Multisine, Step
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.limits import device
-from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay, NoPlanning
+from dynasindy.planning import GradientPlanning, ImaginedReplay, NoPlanning
 from dynasindy.sindy import Regression, SindyModel
 from dynasindy.systems import Xi
 
@@ -50,44 +51,27 @@ class NoCode(SindyModel):
 
 
 def recipe(planning, where="cpu", model=SindyModel, system=Xi, **agent):
-    return Recipe(
-        system=system(),
-        task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=30),
+    return make_recipe(
+        system(),
+        30,
         env=partial(ControlEnv, dt=0.1, substeps=2, dtype=torch.float64),
         excitation=partial(Multisine, duration=3.0),
         world_model=partial(model, known=KNOWN, regression=Regression("bic")),
         agent=partial(TD3, hidden=(32, 24), policy_average=0.1, **agent),
         replay=partial(DynaReplay, 500, 64, 0.5),
         planning=PLANNERS[planning],
-        gate=Gate(),
         train=LoopSettings(2, 0.5, held_out=0),
         seed=3,
         device=where,
     )
 
 
-class Listener:
-    """Take no note of anything but the returns."""
-
-    def __init__(self):
-        self.returns = []
-
-    def fitted(self, report, excited, cost):
-        pass
-
-    def reached(self, place):
-        pass
-
-    def episode(self, episode, cost):
-        self.returns.append(float(episode.rollout["next", "reward"].sum()))
-
-
 def trained(*given, **settings):
     """Return the parts of a run that has ended, and its returns."""
     one = recipe(*given, **settings)
-    parts, listener = one.build(), Listener()
-    train(parts, one.train, listener)
-    return parts, torch.tensor(listener.returns)
+    parts, heard = one.build(), Heard()
+    train(parts, one.train, heard)
+    return parts, torch.stack([episode.rollout["next", "reward"].sum().cpu() for episode in heard.episodes])
 
 
 def tensors(parts):

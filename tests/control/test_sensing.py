@@ -1,12 +1,11 @@
 """The real environment behind its sensors: what is shown, what is handed back, and that the truth is read by nobody."""
 
-import copy
 import math
 from functools import partial
 
 import pytest
 import torch
-from recipes import make_recipe
+from recipes import Heard, make_recipe, resumed
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torchrl.envs import Transform, TransformedEnv
@@ -15,7 +14,7 @@ from torchrl.envs.utils import check_env_specs
 from dynasindy.agents import MEASURED_KEYS
 from dynasindy.control import Observer
 from dynasindy.control.sensing import Sensing
-from dynasindy.dyna.callback import Callback, Place
+from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.experiment import LoopSettings
 from dynasindy.dyna.loop import train
 from dynasindy.envs import Chirp, ControlEnv, Multisine, Sensors, Step, Tracking, Wave
@@ -191,14 +190,6 @@ class Learner(Oracle):
         return super().fit(transitions)
 
 
-class Heard(Callback):
-    def __init__(self):
-        self.episodes, self.states = [], []
-
-    def episode(self, episode, cost):
-        self.episodes.append(episode)
-
-
 def recipe(seed=0, sensors=None):
     plant = Tras()
     return make_recipe(
@@ -251,23 +242,11 @@ def test_a_run_that_cannot_see_the_truth_is_the_same_run():
 
 
 def test_a_run_resumed_at_any_place_is_the_uninterrupted_one():
-    class Saved(Callback):
-        def __init__(self, parts, place):
-            self.parts, self.place, self.states = parts, place, []
-
-        def reached(self, place):
-            self.states.append(copy.deepcopy((place.state_dict(), self.parts.state_dict())))
-
     made = recipe(sensors=Sensors(BENCH, rates=KNOWN, lost=0.05, actuator_delay=1, disturbance=True))
-    whole, place = made.build(), Place()
-    saved = Saved(whole, place)
-    train(whole, made.train, saved, place)
-    for where, state in saved.states[:-1]:
-        again, place = made.build(), Place()
-        again.load_state_dict(state)
-        place.load_state_dict(where)
-        train(again, made.train, Callback(), place)
-        assert same(again.state_dict(), whole.state_dict())
+    heard = Heard(whole := made.build())
+    train(whole, made.train, heard)
+    for place in heard.states[:-1]:
+        assert same(resumed(made, *place).state_dict(), whole.state_dict())
 
 
 def test_after_the_first_fit_the_observer_relies_on_the_model_and_the_excitation_is_estimated_anew():

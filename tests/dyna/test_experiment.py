@@ -1,17 +1,15 @@
 """What a recipe builds, what of it a run keeps, and an observer that makes up for a delay which the fit has found."""
 
-import copy
 import math
 from dataclasses import replace
 from functools import partial
 
 import pytest
 import torch
-from recipes import make_recipe
+from recipes import Heard, make_recipe, resumed
 
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna import experiment
-from dynasindy.dyna.callback import Callback, Place
 from dynasindy.dyna.experiment import LoopSettings
 from dynasindy.dyna.loop import train
 from dynasindy.envs import Chirp, ControlEnv, Multisine, RandomStep, Tracking, TrackingReward
@@ -108,27 +106,12 @@ def pendulum(periods, sensors=None):
     )
 
 
-class Heard(Callback):
-    """Keep the episodes, and the state of the parts at each place."""
-
-    def __init__(self, parts, place):
-        self.parts, self.place, self.rollouts, self.states, self.refits = parts, place, [], [], []
-
-    def episode(self, episode, cost):
-        self.rollouts.append(episode.rollout)
-        self.refits.append(episode.refit)
-
-    def reached(self, place):
-        self.states.append(copy.deepcopy((place.state_dict(), self.parts.state_dict())))
-
-
 def test_the_policy_is_shown_where_the_plant_will_be_when_its_input_arrives():
     made, periods = pendulum(2.5), 2.5
-    parts, place = made.build(), Place()
-    heard = Heard(parts, place)
-    train(parts, made.train, heard, place)
+    parts, heard = made.build(), Heard()
+    train(parts, made.train, heard)
     assert parts.world_model.delay == pytest.approx(0.05 * periods, abs=1e-3)
-    ahead(heard.rollouts[-1], periods)
+    ahead(heard.episodes[-1].rollout, periods)
 
 
 def ahead(rows, periods):
@@ -153,15 +136,15 @@ class Later(Heard):
 def test_a_delay_that_a_refit_finds_is_made_up_for_from_then_on(periods, held_out):
     made = pendulum(periods)
     made.world_model.keywords["refinement"] = Refinement("integral", longest_delay=0.0)
-    parts, place = made.build(), Place()
-    heard = Later(parts, place)
-    train(parts, replace(made.train, held_out=held_out), heard, place)
-    first, second = heard.rollouts
+    parts = made.build()
+    heard = Later(parts)
+    train(parts, replace(made.train, held_out=held_out), heard)
+    first, second = (episode.rollout for episode in heard.episodes)
     assert "true_state" not in set(first.keys()) and "true_state" in set(second.keys())
     assert parts.world_model.delay == pytest.approx(0.05 * periods, abs=1e-3)
     ahead(second, periods)
     if held_out:  # the refit is judged by inputs as late as it says, by which it predicts what it has not seen
-        assert heard.refits[0].error_after < 0.01 * heard.refits[0].error_before
+        assert heard.episodes[0].refit.error_after < 0.01 * heard.episodes[0].refit.error_before
     # Every period that was flown still counts, and the fit reads what was seen of the first ones.
     assert len(parts.replay.real) == 50 + len(first) + len(second)
     seen = parts.replay.real_in_order()["measurement"][50 : 50 + len(first)]
@@ -171,15 +154,11 @@ def test_a_delay_that_a_refit_finds_is_made_up_for_from_then_on(periods, held_ou
 def test_a_run_that_makes_up_for_a_delay_goes_on_where_it_was_stopped():
     made = pendulum(2)
     made = replace(made, train=replace(made.train, episodes=1))
-    whole, place = made.build(), Place()
-    heard = Heard(whole, place)
-    train(whole, made.train, heard, place)
+    heard = Heard(whole := made.build())
+    train(whole, made.train, heard)
     assert len(heard.states) == 3
-    for where, state in heard.states[:-1]:
-        again, place = made.build(), Place()
-        again.load_state_dict(state)
-        place.load_state_dict(where)
-        train(again, made.train, Callback(), place)
+    for place in heard.states[:-1]:
+        again = resumed(made, *place)
         wanted, found = whole.state_dict(), again.state_dict()
         assert torch.equal(wanted["world_model"]["coefficients"], found["world_model"]["coefficients"])
         stored = [state["replay"]["real"]["rows"]["observation"] for state in (wanted, found)]

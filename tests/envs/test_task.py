@@ -20,18 +20,6 @@ def wanted(t):
     return [0.1 + 0.4 * math.sin(2 * math.pi * 0.5 * t), -0.2 + 0.3 * math.sin(2 * math.pi * 0.25 * t)]
 
 
-def test_the_reward_measures_against_the_reference_at_the_periods_end():
-    task = Tracking(SIGNATURE, WAVE, reward=TrackingReward((2.0, 3.0), 0.5, 0.0, stop_penalty=7.0))
-    params = WAVE.sample(torch.Size((1,)), torch.Generator())
-    x = torch.tensor([[0.0, 0.0, 0.3, -0.2, 0.0, 0.0]])
-    x_next = torch.tensor([[0.15, -0.05, 0.1, 0.3, 0.0, 0.0]])
-    a, p = wanted(0.7)
-    cost = 2 * (a - 0.15) ** 2 + 3 * (p + 0.05) ** 2 + 0.5 * (0.2**2 + 0.5**2)
-    for at_stop in (False, True):
-        paid = task.reward(x, x_next, params, torch.tensor([[0.7]]), torch.tensor([at_stop]))
-        assert paid.item() == pytest.approx(-cost - 7 * at_stop, rel=1e-5)
-
-
 def test_errors_and_references_follow_the_time_of_each_row():
     task = Tracking(SIGNATURE, WAVE, observe_rate=True, error_scale=0.25)
     params = WAVE.sample(torch.Size((2,)), torch.Generator())
@@ -45,18 +33,6 @@ def test_errors_and_references_follow_the_time_of_each_row():
         assert seen[row].tolist() == pytest.approx([0.5, -0.5, 1, -1, 0.1, -0.1, *errors, *slopes], rel=1e-5)
         assert task.error(x, params, t)[row].tolist() == pytest.approx([a - 0.5, p + 0.5], rel=1e-5)
         assert seen[row, task.error_columns].tolist() == pytest.approx(errors, rel=1e-5)
-
-
-def test_other_outputs_and_rates_are_read_where_they_stand():
-    reward = TrackingReward((1.0,), 10.0, 0.0)
-    task = Tracking(SIGNATURE, Step([[0.5]]), ["alpha_p"], ["Omega_p"], reward)
-    assert (task.n_r, task.n_o, task.output_names, task.params_shape) == (1, 7, ("alpha_p",), (1, 5))
-    x_next = torch.tensor([[9.0, 0.2, 9.0, 0.3, 9.0, 9.0]])
-    params = task.sample(torch.Size((1,)), torch.Generator())
-    paid = task.reward(torch.zeros(1, 6), x_next, params, torch.zeros(1, 1), torch.tensor([False]))
-    assert paid.item() == pytest.approx(-(0.3**2) - 10 * 0.3**2)
-    other = task.with_reference(Step([[0.1]]))
-    assert other.rates == [3] and other.reward_function is reward and other.output_names == ("alpha_p",)
 
 
 def test_an_output_without_a_rate_is_not_damped_and_the_others_are():
@@ -99,27 +75,6 @@ def test_bounds_are_both_ways_from_zero_or_the_two_ends_that_are_given():
         [-inf, pytest.approx(-0.7), -2, -inf, -inf, -inf],
         [inf, pytest.approx(0.7), 3.5, inf, inf, inf],
     ]
-
-
-def test_outputs_of_one_unit_share_the_widest_box():
-    task = Tracking(SIGNATURE, WAVE, low=[-0.5, -0.5], high=[0.5, 0.4])
-    assert task.boxes().tolist() == [1.0, 1.0]
-
-
-def test_states_and_references_are_read_back_from_observations():
-    task = Tracking(SIGNATURE, WAVE, observe_rate=True, low=[-1.0, -1.0], high=[2.0, 0.5])
-    rng = torch.Generator().manual_seed(0)
-    x, t, params = torch.randn(5, 6, generator=rng), torch.rand(5, 1), task.sample(torch.Size((5,)), rng)
-    seen, wanted = task.seen(task.observation(x, params, t))
-    torch.testing.assert_close(seen, x)
-    torch.testing.assert_close(wanted, task.reference(params, t), atol=1e-6, rtol=1e-5)
-
-
-def test_a_plant_without_rates_pays_for_errors_alone():
-    task = Tracking(CART, Step([[1.0]]), ("p",), (), TrackingReward((1.0,), 5.0, 0.0))
-    params = task.sample(torch.Size((1,)), torch.Generator())
-    x, x_next = torch.zeros(1, 3), torch.tensor([[0.5, 9.0, 9.0]])
-    assert task.reward(x, x_next, params, torch.zeros(1, 1), torch.zeros(1) > 0).item() == pytest.approx(-0.25)
 
 
 def test_episodes_begin_where_start_says():
@@ -265,12 +220,6 @@ def test_observations_that_are_called_linear_change_by_the_same_from_everywhere(
 def pay(error, change=(0.0, 0.0), at_stop=False, **settings):
     reward = TrackingReward(**settings)
     return reward(torch.tensor(error), torch.tensor(change), torch.tensor(at_stop)).item()
-
-
-def test_the_bonus_is_paid_per_axis_inside_the_band():
-    assert pay((0.0099, 0.2), error_weights=(0.0, 0.0), bonus=0.7) == pytest.approx(0.7)
-    assert pay((0.0, -0.009), error_weights=(0.0, 0.0), bonus=0.7) == pytest.approx(1.4)
-    assert pay((0.011, 0.2), error_weights=(0.0, 0.0), bonus=0.7) == 0.0
 
 
 @pytest.mark.parametrize(

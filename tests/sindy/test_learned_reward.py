@@ -6,12 +6,11 @@ from functools import partial
 
 import pytest
 import torch
+from recipes import Heard, make_recipe
 
-from dynasindy.agents import TD3, DynaReplay
-from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings, train
 from dynasindy.envs import Foreign, GymnasiumEnv, Multisine
-from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay
+from dynasindy.planning import GradientPlanning, ImaginedReplay
 from dynasindy.sindy import LearnedReward, SindyModel
 from dynasindy.systems import Diverged, Signature
 
@@ -91,16 +90,13 @@ def of_pendulum(planning, seed=0):
     """Return the parts of an experiment on Pendulum-v1 under its own reward."""
     system = Foreign("Pendulum-v1", {"c": 1.0, "s": 1.0, "w": 8.0}, ["torque"], stops=["w"])
     products = ["1", "c", "s", "w", "torque", "c s", "c w", "s w", "s^2", "c torque", "s torque"]
-    return Recipe(
-        system=system,
+    return make_recipe(
+        system,
         task=partial(LearnedReward, library=PENDULUM, max_steps=60),
         env=GymnasiumEnv,
         excitation=partial(Multisine, duration=3.0, amplitude=1.0, seed=seed),
         world_model=partial(SindyModel, library=products),
-        agent=partial(TD3, hidden=(16,)),
-        replay=partial(DynaReplay, 1000, 16),
         planning=planning,
-        gate=Gate(),
         train=LoopSettings(1, 0.1),
         seed=seed,
     ).build()
@@ -114,13 +110,13 @@ def of_pendulum(planning, seed=0):
     ],
     ids=["dyna", "gradient"],
 )
-def test_pendulum_v1_pays_itself_and_both_planners_imagine_it(planning, hearing):
+def test_pendulum_v1_pays_itself_and_both_planners_imagine_it(planning):
     """-(angle^2 + 0.1 w^2 + 0.001 torque^2) of the state at the start, as Gymnasium documents it; torques up to 2."""
     parts = of_pendulum(planning)
     assert parts.model_env.task is parts.plant.task
-    heard = hearing()
+    heard = Heard()
     train(parts, LoopSettings(1, 0.1), heard)
-    for rows in heard.rollouts:
+    for rows in (heard.excited, *(episode.rollout for episode in heard.episodes)):
         angle = torch.atan2(rows["state"][:, 1], rows["state"][:, 0])
         torque = 2.0 * rows["action"][:, 0].clamp(-1.0, 1.0)
         paid = -(angle**2 + 0.1 * rows["state"][:, 2] ** 2 + 0.001 * torque**2)
@@ -131,6 +127,6 @@ def test_pendulum_v1_pays_itself_and_both_planners_imagine_it(planning, hearing)
     imagined = parts.model_env.step(parts.model_env.start_from(x).set("action", u))["next", "reward"]
     by_hand = -(torch.tensor([0.0, 0.5, -1.0, 2.0]) ** 2 + 0.4)
     torch.testing.assert_close(imagined[:, 0], by_hand, rtol=0, atol=0.35)
-    resumed = of_pendulum(planning)
-    resumed.load_state_dict(parts.state_dict())
-    assert resumed.plant.task.summary() == parts.plant.task.summary() != ""
+    again = of_pendulum(planning)
+    again.load_state_dict(parts.state_dict())
+    assert again.plant.task.summary() == parts.plant.task.summary() != ""
