@@ -9,41 +9,20 @@ from pathlib import Path
 
 import forked
 import pytest
-import torch
+from carts import make_cart, make_idle_controller, save_run
 
-from dynasindy.agents.networks import actor
-from dynasindy.control import Controller, load, save
-from dynasindy.control.controller import ControlSetup
-from dynasindy.envs import Step, Tracking, TrackingReward
-from dynasindy.sindy import SindyModel
-from dynasindy.systems import Signature
+from dynasindy.control import load, save
 
 DIARY = "my diary"
-SIGNATURE = Signature(("p", "v"), ("m", "m/s"), ("force",), (2.0, 3.0))
 CHECK = ("points=1", "grid=2", "draws=1", "seconds=3")
 IDENTIFY = ("system=pendulum", "excitation.duration=2", "data.validation_seconds=1", "hydra.run.dir=found")
-
-
-def model(spring: float = 2.0) -> SindyModel:
-    made = SindyModel(SIGNATURE, ["force", "v", "p"], known={"p": "v"})
-    made.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, -0.5], [0.0, -spring]]))
-    return made
-
-
-def controller(hidden: int = 4) -> Controller:
-    task = Tracking(SIGNATURE, Step([[0.0]]), ("p",), ("v",), TrackingReward((1.0,)))
-    policy = actor(task.n_o, 1, (hidden,)).requires_grad_(False)
-    for weight in policy.parameters():
-        weight *= 1e-3
-    return Controller(policy, ControlSetup(task, 0.1))
 
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
     """Return the folder of a finished run of a cart at a spring, beside a diary of the user."""
     folder = tmp_path / "run"
-    save(controller(), folder / "controller.json")
-    model().save(folder / "model.json")
+    save_run(folder)
     (folder / "config.yaml").write_text("plant: {low: [-0.1], high: [0.1]}\n")
     (folder / "metrics.json").write_text('{"episodes": 3}')
     (tmp_path / "diary").write_text(DIARY)
@@ -104,12 +83,12 @@ def test_no_command_writes_through_a_link(run, tmp_path, place, words):
 def test_a_device_keeps_its_place(tmp_path):
     os.mkfifo(tmp_path / "model.json")
     with pytest.raises(ValueError, match=r"model\.json"):
-        model().save(tmp_path / "model.json")
+        make_cart().save(tmp_path / "model.json")
     assert (tmp_path / "model.json").is_fifo()
 
 
 def _write_for(seconds: float, path: str, spring: float, said) -> None:
-    ready, failed, number = model(spring), 0, 0
+    ready, failed, number = make_cart(spring=spring), 0, 0
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         number += 1
@@ -122,7 +101,7 @@ def _write_for(seconds: float, path: str, spring: float, said) -> None:
 
 def test_two_writers_and_a_reader_meet_whole_files_only(tmp_path):
     path, context = tmp_path / "model.json", multiprocessing.get_context("fork")
-    model().save(path)
+    make_cart().save(path)
     said = context.Queue()
     writers = [context.Process(target=_write_for, args=(1.5, str(path), spring, said)) for spring in (2.0, 3.0)]
     for writer in writers:
@@ -152,9 +131,9 @@ def full_disk(monkeypatch):
 def test_a_full_disk_leaves_a_model_and_a_controller_as_they_were(run, full_disk):
     before = contents(run)
     with pytest.raises(OSError, match=r"model\.json"):
-        model(7.0).save(run / "model.json")
+        make_cart(spring=7.0).save(run / "model.json")
     with pytest.raises(OSError, match=r"controller\.json"):
-        save(controller(hidden=5), run / "controller.json")
+        save(make_idle_controller(hidden=5), run / "controller.json")
     assert contents(run) == before
     assert load(run).policy is not None
 

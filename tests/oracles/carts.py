@@ -5,7 +5,7 @@ import math
 import torch
 
 from dynasindy.agents.networks import actor
-from dynasindy.control import Controller, Observer
+from dynasindy.control import Controller, Observer, save
 from dynasindy.control.controller import ControlSetup
 from dynasindy.envs import Sensors, Step, Tracking, TrackingReward
 from dynasindy.evaluation.closed_loop import ClosedLoop
@@ -65,3 +65,18 @@ def make_network_loop(delay=0.07, disturbance=True, late=1, integral=None):
         policy = actor(setup.task.n_o, 1, (8, 5)).requires_grad_(False)
     seeing = watching(model, setup, delay=late, disturbance=disturbance)
     return ClosedLoop(Controller(policy, setup, seeing, integral), model, 0.04 / 3)
+
+
+def make_idle_controller(hidden=4):
+    """A network that hardly acts."""
+    task = make_task()
+    policy = actor(task.n_o, 1, (hidden,)).requires_grad_(False)
+    for weight in policy.parameters():
+        weight *= 1e-3
+    return Controller(policy, ControlSetup(task, DT))
+
+
+def save_run(folder, spring=2.0):
+    """Save what a run leaves of a cart at a spring, stable as it is by itself, and of a network that hardly acts."""
+    save(make_idle_controller(), folder / "controller.json")
+    make_cart(friction=0.5, spring=spring).save(folder / "model.json")

@@ -5,30 +5,11 @@ import os
 
 import forked
 import pytest
-import torch
+from carts import save_run
 
-from dynasindy.agents.networks import actor
-from dynasindy.control import Controller, save
-from dynasindy.control.controller import ControlSetup
-from dynasindy.envs import Step, Tracking, TrackingReward
 from dynasindy.findings import note, records, weak
-from dynasindy.sindy import SindyModel
-from dynasindy.systems import Signature
 
 SMALL = ("points=1", "grid=2", "draws=1", "seconds=3")
-
-
-def run_folder(folder, spring):
-    """A cart at a spring, held by a network that hardly acts: stable as the cart is by itself."""
-    signature = Signature(("p", "v"), ("m", "m/s"), ("force",), (2.0, 3.0))
-    task = Tracking(signature, Step([[0.0]]), ("p",), ("v",), TrackingReward((1.0,)))
-    policy = actor(task.n_o, 1, (4,)).requires_grad_(False)
-    for weight in policy.parameters():
-        weight *= 1e-3
-    save(Controller(policy, ControlSetup(task, 0.1)), folder / "controller.json")
-    model = SindyModel(signature, ["force", "v", "p"], known={"p": "v"})
-    model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, -0.5], [0.0, -spring]]))
-    model.save(folder / "model.json")
 
 
 def called(folder, *words):
@@ -37,7 +18,7 @@ def called(folder, *words):
 
 @pytest.mark.parametrize(("spring", "code"), [(2.0, 0), (-2.0, 1)])
 def test_the_exit_code_is_1_where_the_loop_is_not_stable(tmp_path, spring, code):
-    run_folder(tmp_path / "run", spring)
+    save_run(tmp_path / "run", spring)
     (tmp_path / "run" / "config.yaml").write_text("plant: {low: [-0.1], high: [0.1]}\n")
     done = called(tmp_path, *SMALL)
     assert done.returncode == code, done.stderr
@@ -51,7 +32,7 @@ def test_the_exit_code_is_1_where_the_loop_is_not_stable(tmp_path, spring, code)
 
 def test_the_main_figures_join_what_the_run_has_written_and_leave_it_as_it_is(tmp_path):
     """A spring and a damper alone bear any gain of an input that hardly acts: no margin ends them."""
-    run_folder(tmp_path / "run", 2.0)
+    save_run(tmp_path / "run", 2.0)
     (tmp_path / "run" / "config.yaml").write_text("plant: {low: [-0.1], high: [0.1]}\n")
     lacking = records([weak("model.unexplained", shares={"v": 0.2}), note("model.delay", seconds=0.1)])
     before = {"episodes": 3, "verdict": {"usable": True}, "cost": None, "findings": lacking}
@@ -76,7 +57,7 @@ def test_the_main_figures_join_what_the_run_has_written_and_leave_it_as_it_is(tm
 
 
 def test_what_is_missing_costs_one_line(tmp_path):
-    run_folder(tmp_path / "run", 2.0)
+    save_run(tmp_path / "run", 2.0)
     done = called(tmp_path, *SMALL)
     assert done.returncode == 2 and "low" in done.stderr and "run/config.yaml" in done.stderr
     (tmp_path / "run" / "model.json").unlink()
