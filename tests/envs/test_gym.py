@@ -194,6 +194,9 @@ def test_an_environment_that_cuts_an_episode_short_is_heeded():
     assert stepped.numel() == 3  # x2 is 1, 2, 3
     last = stepped["next"][-1]
     assert bool(last["truncated"]) and bool(last["done"]) and not bool(last["terminated"])
+    played = _GymControl(env)
+    played.reset(seed=0)
+    assert [played.step(np.ones(2))[2:4] for _ in range(3)] == [(False, False), (False, False), (False, True)]
 
 
 class Grouped(Steps):

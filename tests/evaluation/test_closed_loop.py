@@ -83,26 +83,6 @@ def test_a_loop_holds_what_its_controller_remembers_and_nothing_else():
     assert parts(observer={"delay": 1}) == late
 
 
-def test_a_law_of_all_states_is_the_map_that_is_written_down():
-    # p + dt v + dt^2/2 u, v + dt u with u = 2 (r - p) - 2.5 v, and dt = 0.1.
-    loop = make_loop()
-    z = torch.tensor([[0.4, -0.2], [0.0, 1.0]], dtype=torch.float64)
-    moved = loop.step(z, loop.steady_covariance(z), torch.tensor([[1.0], [0.5]]))
-    u = 2 * (torch.tensor([1.0, 0.5]) - z[:, 0]) - 2.5 * z[:, 1]
-    np.testing.assert_allclose(moved.u[:, 0], u, atol=1e-12)
-    expected = torch.stack([z[:, 0] + 0.1 * z[:, 1] + 0.005 * u, z[:, 1] + 0.1 * u], -1)
-    np.testing.assert_allclose(moved.z, expected, atol=1e-12)
-
-
-def test_what_is_added_reaches_the_plant_and_noise_the_controller():
-    loop = make_loop()
-    z, r = torch.zeros(1, 2, dtype=torch.float64), torch.zeros(1, 1)
-    pushed = loop.step(z, loop.steady_covariance(z), r, extra=0.3)
-    assert pushed.u.item() == 0 and pushed.z[0, 1].item() == pytest.approx(0.03)
-    disturbed = loop.step(z, loop.steady_covariance(z), r, noise=torch.tensor([[0.1, 0.2]]))
-    assert disturbed.u.item() == pytest.approx(-2 * 0.1 - 2.5 * 0.2)
-
-
 def test_rows_may_have_coefficients_of_their_own():
     loop = make_loop()
     xi = torch.stack([loop.model.coefficients, 3 * loop.model.coefficients])
@@ -161,14 +141,6 @@ def test_a_difference_equation_moves_by_its_own_steps_however_long_those_of_the_
 
 HERE = Settings((0.0,), (0.0,), points=1, reach=0.5, draws=0)
 ENDS = Settings((-0.4,), (0.4,), points=2, grid=2, draws=0)
-
-
-def test_a_flight_is_the_power_of_a_matrix():
-    flights = make_loop().fly(torch.tensor([[0.4, -0.2]]), torch.tensor([[0.0]]), 2.0)
-    closed = np.array([[1.0, 0.1], [0.0, 1.0]]) - np.array([[0.005], [0.1]]) @ np.array([[2.0, 2.5]])
-    expected = [np.linalg.matrix_power(closed, k) @ flights.x[0, 0].numpy() for k in range(21)]
-    np.testing.assert_allclose(flights.x[0], expected, atol=1e-10)
-    assert flights.u[0, 0].item() == pytest.approx(-2 * 0.4 + 2.5 * 0.2, abs=1e-6)
 
 
 def test_error_slew_and_saturation_are_counted():
@@ -252,8 +224,3 @@ def test_swings_are_those_of_a_motion_that_is_computed_exactly(seconds):
 def test_swings_that_grow_have_no_size():
     found = check(make_loop(Law(-1.0, 0.0)), replace(ENDS, seconds=4.0)).swings
     assert found.outputs.isinf().all() and (found.error > 1).all()
-
-
-def test_a_loop_that_is_stable_swings_nowhere():
-    found = check(make_loop(), replace(ENDS, seconds=4.0)).swings
-    assert not found.outputs.any() and not found.inputs.any() and not found.error.any()

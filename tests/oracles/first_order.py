@@ -24,9 +24,9 @@ def inputs(count: int) -> np.ndarray:
     return np.random.default_rng(7).uniform(-1, 1, count).repeat(10)
 
 
-def motion(a: float, b: float, y0: float, u: np.ndarray) -> np.ndarray:
+def motion(a: float, b: float, y0: float, u: np.ndarray, dt: float = DT) -> np.ndarray:
     """Exact states of y' = a y + b u under held inputs."""
-    phi, y = math.exp(a * DT), [y0]
+    phi, y = math.exp(a * dt), [y0]
     for held in u:
         y.append(phi * y[-1] + b * (phi - 1) / a * held)
     return np.array(y)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from benchmarks.identify import TEXTBOOK
-from first_order import LIBRARY, A, B, column
+from first_order import LIBRARY, A, B, column, motion
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 
@@ -23,11 +23,9 @@ FREE = Constraints.build(LIBRARY, {}, {}, {})
 
 def recording(dt: float, noise: float = 0.0, n: int = 150) -> Transitions:
     """Exact motion of y' = A y + B u under held inputs, with white noise on the states."""
-    generator, phi, y = np.random.default_rng(3), math.exp(A * dt), [0.3]
+    generator = np.random.default_rng(3)
     u = generator.uniform(-1, 1, n)
-    for held in u:
-        y.append(phi * y[-1] + B * (phi - 1) / A * held)
-    x = torch.tensor(y, dtype=torch.float64) + noise * torch.from_numpy(generator.normal(size=n + 1))
+    x = torch.from_numpy(motion(A, B, 0.3, u, dt) + noise * generator.normal(size=n + 1))
     return Transitions.from_trajectory(x.unsqueeze(-1), torch.from_numpy(u).unsqueeze(-1), dt)
 
 
