@@ -62,15 +62,19 @@ def test_time_is_found_where_only_one_heading_can_mean_it(headings, clock):
         ("millis", 1e3, "millis"),
         ("t", 1.0, ""),
         ("time [s]", 1.0, "s"),
+        ("time (MS)", 1e3, "MS"),
+        ("time[µs]", 1e6, "µs"),
+        ("time [min]", 1 / 60, "min"),
+        ("time [h]", 1 / 3600, "h"),
     ],
 )
 def test_the_column_of_time_and_its_unit_are_always_said(tmp_path, heading, per_second, unit):
     """Samples every 20 ms, whatever they are counted in."""
-    path = written(tmp_path / "log.csv", heading, [f"{0.02 * k * per_second:.6g}" for k in range(100)])
+    path = written(tmp_path / "log.csv", heading, [f"{0.02 * k * per_second:.12g}" for k in range(100)])
     found = LoggedData(path).recording(None)
     assert found.transitions.dt == pytest.approx(0.02)
     assert found.findings == (
-        note("log.time", column=heading.split(" [")[0], unit=unit, dates=False, dt=pytest.approx(0.02)),
+        note("log.time", column=heading.partition("[")[0].partition(" (")[0].strip(), unit=unit, dates=False, dt=pytest.approx(0.02)),
     )
 
 

@@ -130,24 +130,6 @@ def test_samples_at_a_stop_are_masked_but_not_a_start_at_rest(tmp_path):
     assert [each.code for each in found.findings[1:]] == ["log.jumps"]
 
 
-@pytest.mark.parametrize(
-    ("heading", "unit", "factor"),
-    [
-        ("time [{}]", "ms", 1000),
-        ("time ({})", "MS", 1000),
-        ("time[{}]", "\u00b5s", 1e6),
-        ("time [{}]", "min", 1 / 60),
-        ("time [{}]", "h", 1 / 3600),
-    ],
-)
-def test_time_is_read_in_its_unit(tmp_path, unit, factor, heading):
-    table = log()
-    table[:, 0] *= factor
-    path = write(tmp_path / "log.csv", table, (heading.format(unit), *HEADINGS[1:]))
-    data = LogReader(path, STATES, INPUTS).recording().transitions
-    assert data.dt == pytest.approx(0.01) and len(data) == 79
-
-
 def test_decimal_commas_between_semicolons_are_numbers(tmp_path):
     path = Path(write(tmp_path / "log.csv", log(), separator=";"))
     path.write_text(path.read_text().replace(".", ","))
