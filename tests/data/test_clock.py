@@ -73,9 +73,9 @@ def test_the_column_of_time_and_its_unit_are_always_said(tmp_path, heading, per_
     path = written(tmp_path / "log.csv", heading, [f"{0.02 * k * per_second:.12g}" for k in range(100)])
     found = LoggedData(path).recording(None)
     assert found.transitions.dt == pytest.approx(0.02)
-    assert found.findings == (
-        note("log.time", column=heading.partition("[")[0].partition(" (")[0].strip(), unit=unit, dates=False, dt=pytest.approx(0.02)),
-    )
+    column = heading.partition("[")[0].partition(" (")[0].strip()
+    told = note("log.time", column=column, unit=unit, dates=False, dt=pytest.approx(0.02))
+    assert found.findings == (told,)
 
 
 def test_a_counter_gets_a_hint_and_what_the_hint_says_mends_it(tmp_path):
