@@ -209,32 +209,25 @@ def test_degrees_are_read_however_a_heading_says_them(tmp_path, angle, rate):
     assert found.signature.state_units == ("rad", "rad/s")
 
 
-@pytest.mark.parametrize(
-    "form",
-    [
-        "%d/%m/%Y %H:%M:%S.%f",
-        "%m/%d/%Y %I:%M:%S.%f %p",
-        "%d-%b-%Y %H:%M:%S.%f",
-        "%d.%m.%y %H:%M:%S,%f",
-        "%H:%M:%S.%f",
-        "%H:%M:%S,%f",
-    ],
-)
-def test_dates_and_times_of_day_tell_the_time_between_rows(tmp_path, form):
-    stamps = [time.strftime(form) for time in TIMES]
-    require_truth(
-        recording(
-            tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND, separator=";")
-        )
-    )
+DATES = ("%d/%m/%Y %H:%M:%S.%f", "%m/%d/%Y %I:%M:%S.%f %p", "%d-%b-%Y %H:%M:%S.%f", "%d.%m.%y %H:%M:%S,%f")
+OF_DAYS = ("%H:%M:%S.%f", "%H:%M:%S,%f")
+DURATIONS = ("{:g} sec", "0:00:{:g}", "00:{:05.2f}", "0 days 00:00:{:09.6f}")
+UNITS = {"s": 1, "T": 1, "ms": 1000, "h": 1 / 3600, "min": 1 / 60}
+MIDNIGHT = {day: pd.Timestamp(2025, 4, day, 23, 59, 58) - START for day in (3, 12)}
+CLOCKS = [
+    *(("time", [time.strftime(form) for time in TIMES]) for form in (*DATES, *OF_DAYS)),
+    # Over midnight a day is told from a month.
+    *(("time", [(time + MIDNIGHT[day]).strftime(DATES[0]) for time in TIMES]) for day in MIDNIGHT),
+    *(("time", [form.format(t) for t in T]) for form in DURATIONS),
+    *((name, 1e6 * T) for name in ("TimeUS", "timestampUs", "time_usec", "timestamps [us]")),
+    *((unit, [f"{t * scale:.12f}" for t in T]) for unit, scale in UNITS.items()),
+]
 
 
-@pytest.mark.parametrize("day", [3, 12])
-def test_a_day_over_midnight_is_told_from_a_month(tmp_path, day):
-    stamps = [
-        (pd.Timestamp(2025, 4, day, 23, 59, 58) + (time - TIMES[0])).strftime("%d/%m/%Y %H:%M:%S.%f") for time in TIMES
-    ]
-    require_truth(recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND)))
+@pytest.mark.parametrize(("heading", "stamps"), CLOCKS)
+def test_a_column_of_times_tells_the_time_between_rows(tmp_path, heading, stamps):
+    text = table([heading, "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND, separator=";")
+    require_truth(recording(tmp_path / "l.csv", text))
 
 
 def test_digits_of_a_date_are_no_seconds(tmp_path):
@@ -260,12 +253,6 @@ def test_rows_that_are_skipped_are_none_that_the_clock_left_out(tmp_path):
     command = ["" if k % 60 == 30 else f"{v:.6f}" for k, v in enumerate(COMMAND)]
     found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, ANGLE, RATE, command))
     assert found.transitions.dt == pytest.approx(0.01) and len(found.transitions) == ROWS - 1 - 2 * ROWS // 60
-
-
-@pytest.mark.parametrize("form", ["{:g} sec", "0:00:{:g}", "00:{:05.2f}", "0 days 00:00:{:09.6f}"])
-def test_durations_tell_the_time_between_rows(tmp_path, form):
-    stamps = [form.format(t) for t in T]
-    require_truth(recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND)))
 
 
 @pytest.mark.parametrize(
@@ -385,11 +372,6 @@ def test_states_that_are_nearly_multiples_of_each_other_stay(tmp_path):
 def test_headings_are_the_line_in_which_all_differ(tmp_path, above, below):
     text = table(["time", "angle", "rate", "u"], T, ANGLE, RATE, COMMAND, above=above, below=below)
     require_truth(recording(tmp_path / "l.csv", text))
-
-
-@pytest.mark.parametrize("name", ["TimeUS", "timestampUs", "time_usec", "timestamps [us]"])
-def test_a_clock_is_known_by_its_name_and_the_unit_at_its_end(tmp_path, name):
-    require_truth(recording(tmp_path / "l.csv", table([name, "angle", "rate", "u"], 1e6 * T, ANGLE, RATE, COMMAND)))
 
 
 def test_a_second_clock_and_a_counter_that_lost_rows_are_no_states(tmp_path):
@@ -550,10 +532,3 @@ def test_a_state_that_an_exact_feedback_was_made_of_stays_one(tmp_path, referenc
     )
     found = LoggedData(str(path)).recording()
     assert (found.signature.state_names, found.signature.input_names) == (("place", "speed"), ("u",))
-
-
-@pytest.mark.parametrize(("name", "scale"), [("s", 1), ("T", 1), ("ms", 1000), ("h", 1 / 3600), ("min", 1 / 60)])
-def test_a_unit_alone_is_the_name_of_a_time_that_goes_evenly(tmp_path, name, scale):
-    stamps = [f"{t * scale:.9f}" for t in T]
-    found = recording(tmp_path / "l.csv", table([name, "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND))
-    assert found.transitions.dt == pytest.approx(0.01, rel=1e-4) and found.signature.state_names == ("angle", "rate")
