@@ -6,7 +6,9 @@ import torch
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, dlsim
 
+from dynasindy.identification.log_fit import SHORTEST
 from dynasindy.identification.state_space import chain_candidates, state_space_candidates
+from dynasindy.progress import listening
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -99,6 +101,20 @@ def test_the_far_end_of_a_soft_shaft_is_found_by_its_motor_alone(one_fold):  # n
     found = fitted(source_of(measured(ANGLE, 0.0, u, "zoh"), u[:-1], DT, units=("rad",)), seconds=10.0)
     assert distance(poles(found.model), np.linalg.eigvals(SOFT_SHAFT)) < 0.03
     assert "fit.behind" not in {finding.code for finding in found.report.findings}
+
+
+def test_hidden_states_are_tried_before_longer_simulations_where_no_function_explains_a_log(one_fold):  # noqa: F811
+    u = steps(0, 60, 10)
+
+    class Dear(BaseException):
+        """A candidate that takes long."""
+
+    def stop(event):
+        if "hidden" in event.phase or f"simulations of {SHORTEST}" in event.phase:
+            raise Dear(event.phase)
+
+    with pytest.raises(Dear, match="hidden"), listening(stop):
+        fitted(source_of(measured(ANGLE, 0.0, u, "zoh"), u[:-1], DT, units=("rad",)), seconds=60.0)
 
 
 def test_nothing_hidden_is_added_where_nothing_is_to_be_known(one_fold):  # noqa: F811
