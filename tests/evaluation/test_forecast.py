@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 import torch
-from scipy.integrate import solve_ivp
 
 from dynasindy.dyna.recorder import judge_run
-from dynasindy.envs import ControlEnv, RandomStep, Step, Tracking, TrackingReward
+from dynasindy.envs import ControlEnv, Step, Tracking, TrackingReward
 from dynasindy.evaluation import forecast as module
 from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.scenarios import Scenario
@@ -153,44 +152,6 @@ def test_a_model_that_only_pushes_make_diverge_promises_nothing():
     assert not Forecast.of([car], env, constant(0.5), still, pushes=push).controlled
 
 
-def flown(delay, inputs):
-    """Return the pendulum's states under inputs that are delayed by hand: 12 u - 9.81 sin(theta) - 0.5 theta'."""
-    whole, part = int(delay / 0.05 + 1e-9), delay / 0.05 - int(delay / 0.05 + 1e-9)
-    late = [0.0] * (whole + 1) + list(inputs)
-    x, states = np.zeros(2), [np.zeros(2)]
-    for k in range(len(inputs)):
-        for u, span in ((late[k], part * 0.05), (late[k + 1], (1 - part) * 0.05)):
-            if span > 1e-9:
-                x = solve_ivp(
-                    lambda t, x, u=u: [x[1], 12 * u - 9.81 * np.sin(x[0]) - 0.5 * x[1]],
-                    (0, span),
-                    x,
-                    rtol=1e-9,
-                    atol=1e-11,
-                ).y[:, -1]
-        states.append(x)
-    return np.array(states[:-1])
-
-
-@pytest.mark.parametrize("delay", [0.0, 0.05, 0.02, 0.13])
-def test_the_inputs_of_a_model_act_as_late_as_it_says(delay):
-    plant = Pendulum()
-    plant.delay = delay
-    inputs = np.sin(0.7 * np.arange(40))
-    task = Tracking(plant.signature, Step([[0.3]]), ("theta",), ("Omega",), TrackingReward((4.0,)), max_steps=40)
-    env = ControlEnv(plant, task, substeps=5, dtype=torch.float64)
-
-    def policy(tensordict):
-        return tensordict.set("action", torch.from_numpy(inputs)[tensordict["step_count"]].float())
-
-    still = Scenario("step", Step([[0.3]]), seconds=2.0)
-    shown = Forecast.of([plant], env, policy, still).evaluation
-    begin = shown.trajectory["state"][0, 0].numpy()
-    np.testing.assert_allclose(begin, 0.0, atol=1e-12)
-    np.testing.assert_allclose(shown.trajectory["state"][0].numpy(), flown(delay, inputs), atol=1e-4)
-    np.testing.assert_allclose(shown.inputs[0, :, 0].numpy(), inputs, atol=1e-6)
-
-
 def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
     """A controller that swings, or only misses, wants more updates; one that loses the plant something else."""
     longer = weak("forecast.longer_plan")
@@ -210,16 +171,6 @@ def test_a_doubt_breaks_a_promise():
     assert not doubted.controlled and not doubted.record()["controlled"]
     assert doubted.findings[0] == doubt and doubted.record()["findings"][0] == doubt.record()
     assert "NOT promised" in doubted.summary() and str(doubt) in doubted.summary()
-
-
-def test_another_task_is_drawn_from_the_same_seed_as_without_a_delay():
-    plant = Pendulum()
-    task = Tracking(plant.signature, RandomStep([-0.5], [0.5]), ("theta",), ("Omega",), TrackingReward((1.0,)))
-    plain, late = ControlEnv(plant, task), ControlEnv(plant, task, delay=0.02)
-    drawn = [
-        float(env.with_task(task, *seed).reset()["reference"]) for env in (plain, late) for seed in ((), (0,), (1,))
-    ]
-    assert drawn[:3] == drawn[3:] and drawn[0] == drawn[1] != drawn[2]
 
 
 def test_what_has_to_come_to_rest_is_asked_where_a_flight_begins(monkeypatch):
