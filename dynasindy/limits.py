@@ -56,23 +56,21 @@ EXHAUSTED = re.compile(
 """What torch, C++ and the loader of libraries say where memory runs out."""
 
 
-def is_memory_error(error: BaseException) -> bool:
-    """Tell whether an error, of Python, numpy, torch or the system, says that memory ran out."""
-    if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
-        return True
-    return isinstance(error, RuntimeError | ImportError | OSError) and bool(EXHAUSTED.search(str(error)))
+def memory_wanted(error: BaseException) -> str | None:
+    """Return how much memory was wanted in vain, as `8 GB`, by an error of Python, numpy, torch or the system.
 
-
-def memory_wanted(error: BaseException) -> str:
-    """Return how much memory an error says was wanted in vain, as `8 GB`; empty where it does not say."""
-    if not (found := re.search(r"allocate (?:(\d+) bytes|([\d.]+ [KMGTPE]i?B))", str(error))):
-        return ""
-    return found[2] or f"{int(found[1]) / 1e9:.3g} GB"
+    It is empty where the error does not say, and None of one that does not say that memory ran out.
+    """
+    known = isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM)
+    if not known and not (isinstance(error, RuntimeError | ImportError | OSError) and EXHAUSTED.search(str(error))):
+        return None
+    found = re.search(r"allocate (?:(\d+) bytes|([\d.]+ [KMGTPE]i?B))", str(error))
+    return (found[2] or f"{int(found[1]) / 1e9:.3g} GB") if found else ""
 
 
 def raise_if_memory(error: BaseException) -> None:
     """Raise an error that says that memory ran out, which is no failure of what was tried."""
-    if is_memory_error(error):
+    if memory_wanted(error) is not None:
         raise error
 
 

@@ -37,7 +37,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 import dynasindy
-from dynasindy.limits import is_memory_error, memory_wanted
+from dynasindy.limits import memory_wanted
 from dynasindy.progress import LOADING, Progress, fit_stderr, report_progress, say
 from dynasindy.safe_io import LinkError, error_text, write_text
 from dynasindy.sentences import use_command_words
@@ -296,8 +296,7 @@ def in_words(error: BaseException, settings: object = None) -> str:
         return f"a part of yours called torch.set_default_dtype({kind}), which all others use; leave it out"
     if place := of_user(error):
         return place
-    if is_memory_error(error):
-        wanted = memory_wanted(error)
+    if (wanted := memory_wanted(error)) is not None:
         said = f": {wanted} more were wanted" if wanted else f": {text}" if text and type(error) is MemoryError else ""
         lower = "replay.capacity, planning.rollouts, agent.hidden or draws, log less, or allow more (ulimit -v)"
         return f"memory ran out{said}; lower {lower}"

@@ -26,7 +26,7 @@ from dynasindy.dyna.loop import train
 from dynasindy.dyna.recorder import IDENTIFICATION, Evaluating, Recorder
 from dynasindy.evaluation.metrics import to_text
 from dynasindy.findings import Finding, note
-from dynasindy.limits import is_memory_error, memory_wanted, raise_if_memory
+from dynasindy.limits import memory_wanted, raise_if_memory
 from dynasindy.progress import Progress, width
 from dynasindy.safe_io import locked, read_json, refuse_links, remove_leftovers, replace_file, write_json, write_text
 from dynasindy.sentences import check_summary
@@ -170,9 +170,8 @@ def _left_in_order(recorder: Recorder, place: Place, checkpoints: Checkpoints, a
         recorder.write_tables()
         raise Diverged(f"in {place.present(recorder.episodes)}: {error}; {kept()}") from error
     except Exception as error:
-        if not is_memory_error(error):
+        if (wanted := memory_wanted(error)) is None:
             raise
-        wanted = memory_wanted(error)
         where = f"in {place.present(recorder.episodes)}{wanted and f', where {wanted} more were wanted'}"
         raise MemoryError(f"{where}; {kept()}") from error
 
