@@ -190,6 +190,12 @@ def replace_file(path: str | Path) -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)
+        if hasattr(os, "O_DIRECTORY"):  # the name lasts through a power cut, too, where the system can have it so
+            descriptor = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
     except BaseException as error:
         temporary.unlink(missing_ok=True)
         # A full disk does not say whose file found no room.
