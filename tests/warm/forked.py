@@ -74,11 +74,7 @@ def script(name: str, *words: str, before: str = "") -> list[str]:
 
 
 class Running:
-    """A command that runs in a fork of the server: Python with a script, `-m` or `-c`.
-
-    Raises:
-        ValueError: The command is another one.
-    """
+    """A command that runs in a fork of the server: Python with a script, `-m` or `-c`."""
 
     def __init__(
         self, command: Sequence[str | Path], cwd: str | Path | None = None, env: Mapping[str, str] | None = None
@@ -104,11 +100,7 @@ class Running:
             os.kill(self.process.pid, number)  # type: ignore[arg-type]
 
     def end(self, timeout: float = 300) -> subprocess.CompletedProcess[str]:
-        """Wait for its end, and that of what it has started.
-
-        Raises:
-            subprocess.TimeoutExpired: It takes longer than `timeout` [s].
-        """
+        """Wait for its end, and that of what it has started."""
         deadline = time.monotonic() + timeout
         try:
             for thread in self.threads:
@@ -134,22 +126,11 @@ def run(
     cwd: str | Path | None = None,
     env: Mapping[str, str] | None = None,
     timeout: float = 300,
-    check: bool = False,
 ) -> subprocess.CompletedProcess[str]:
-    """Do what `subprocess.run(..., capture_output=True, text=True)` does with a command that `Running` takes.
-
-    Raises:
-        ValueError: The command is another one.
-        subprocess.TimeoutExpired: It, or what it has started, takes longer than `timeout` [s].
-        subprocess.CalledProcessError: It fails, and `check` is true.
-    """
+    """Do what `subprocess.run(..., capture_output=True, text=True)` does with a command that `Running` takes."""
     if "forkserver" not in multiprocessing.get_all_start_methods():  # as on Windows
-        more: dict[str, Any] = {"cwd": cwd, "env": env, "timeout": timeout, "check": check}
-        return subprocess.run([*command], capture_output=True, text=True, **more)
-    done = Running(command, cwd, env).end(timeout)
-    if check:
-        done.check_returncode()
-    return done
+        return subprocess.run([*command], capture_output=True, text=True, cwd=cwd, env=env, timeout=timeout)
+    return Running(command, cwd, env).end(timeout)
 
 
 def call(name: str, *words: str, **more: Any) -> subprocess.CompletedProcess[str]:
