@@ -168,24 +168,6 @@ def test_each_group_of_a_plant_without_what_may_be_left_out_resolves_by_itself(c
         OmegaConf.resolve(group)
 
 
-def test_the_paper_experiment_holds_every_row_of_its_table():
-    cfg, parts = build("experiment=paper")
-    agent = parts.agent.settings
-    assert cfg.env.dt == 0.05 and parts.plant.dt == 0.05  # sampling time
-    assert parts.plant.task.max_steps == 400
-    assert agent.critic_lr == agent.actor_lr == 1e-4
-    assert agent.gamma == 0.995
-    assert cfg.replay.capacity == 2_000_000
-    assert cfg.replay.batch_size == 512
-    assert agent.exploration_noise == 0.15
-    assert agent.noise_decay == 1e-3
-    assert agent.tau == 0.005
-    assert agent.target_update_interval == 10
-    assert tuple(agent.hidden) == (400, 300)
-    assert parts.plant.task.reward_function.error_shape == "quadratic"
-    assert parts.planner.rollouts in (400, 800)
-
-
 def test_the_excitation_of_the_default_is_a_thousand_samples():
     cfg, parts = build()
     assert parts.excitation.n_steps * cfg.env.substeps == 1000
