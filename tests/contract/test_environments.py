@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
-from scipy.integrate import solve_ivp
 from torchrl.envs.utils import check_env_specs
 
 import dynasindy  # noqa: F401 (registers the environments)
@@ -66,21 +65,6 @@ def constant(*u):
     return lambda tensordict: tensordict.set("action", torch.tensor(u).expand(*tensordict.batch_size, len(u)))
 
 
-def test_a_period_moves_a_pendulum_as_scipy_does_and_costs_what_the_error_says():
-    """Omega' = 12 u - 9.81 sin(theta) - 0.5 Omega; a reward of -2 e^2 - 0.5 times the change of the rate, squared."""
-    env, x = pendulum(Step([[0.3]]), dtype=torch.float64, substeps=5), np.zeros(2)
-    rows = env.rollout(20, constant(0.4))
-    assert rows["action"].unique().tolist() == pytest.approx([0.4])
-    for row in rows:
-        moved = solve_ivp(
-            lambda _, y: [y[1], 12 * 0.4 - 9.81 * np.sin(y[0]) - 0.5 * y[1]], (0, 0.05), x, rtol=1e-10, atol=1e-12
-        ).y[:, -1]
-        np.testing.assert_allclose(row["next", "state"].numpy(), moved, atol=1e-6)
-        cost = 2 * (0.3 - moved[0]) ** 2 + 0.5 * (moved[1] - x[1]) ** 2
-        assert row["next", "reward"].item() == pytest.approx(-cost, rel=1e-4)
-        x = moved
-
-
 def test_the_real_plant_and_the_imagined_one_pay_and_move_alike_if_the_model_is_true():
     env = rotor(dtype=torch.float64, batch_size=(2,))
     starts = env.reset()
@@ -92,16 +76,3 @@ def test_the_real_plant_and_the_imagined_one_pay_and_move_alike_if_the_model_is_
         assert torch.equal(flights[0]["next", key], flights[1]["next", key]), key
     other = env.with_system(Xi()).rollout(50, constant(0.3, 0.9), auto_reset=False, tensordict=starts.clone())
     assert not torch.allclose(other["next", "state"], flights[0]["next", "state"], atol=1e-3)
-
-
-def test_episodes_are_truncated_at_their_length_and_a_seed_draws_the_same_targets():
-    def targets(seed):
-        env = rotor()
-        env.set_seed(seed)
-        return torch.stack([env.reset()["reference"] for _ in range(3)])
-
-    rows = rotor().rollout(1000, constant(1.0, 1.0))
-    assert rows.shape == (400,) and rows["next", "truncated"][:, 0].tolist() == [False] * 399 + [True]
-    assert not rows["next", "terminated"].any()
-    assert torch.equal(targets(3), targets(3)) and not torch.equal(targets(3), targets(4))
-    assert targets(3).unique(dim=0).shape[0] == 3
