@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 
 from dynasindy.evaluation.scenarios import Evaluation
-from dynasindy.evaluation.tracking_criteria import judge_control, judge_tracking
+from dynasindy.evaluation.tracking_criteria import TrackingCriteria, judge_control, judge_tracking
 from dynasindy.systems import Diverged, Signature
 
 SIGNATURE = Signature(("p", "theta", "way"), ("m", "rad", "m"), ("u",), (1.0, 0.5, 10.0))
@@ -161,18 +161,7 @@ def test_where_nothing_is_tracked_motion_is_no_fault_and_running_away_is():
     trajectory = TensorDict({"state": x, "reference": torch.zeros(2, len(TIME), 0)}, [2, len(TIME)])
     untracked = Evaluation("task", SIGNATURE, (), TIME, trajectory, {})
     found = judge_tracking(untracked, torch.tensor([True, True, False]))
-    assert asdict(found) == {
-        "share": {},
-        "worst": {},
-        "away": {"p": 0.5},
-        "idle": {},
-        "swings": {},
-        "ringing": {},
-        "turned": [],
-        "targets": {},
-        "rates": [],
-        "moving": False,
-    }
+    assert found == TrackingCriteria({}, {}, {"p": 0.5}, {})
 
 
 TWO = Signature(("a", "b"), ("m", "rad"), ("u",), (1.0, 1.0))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from published import TABLE
 from scipy.linalg import expm
 from torch import Tensor
 
@@ -23,28 +24,7 @@ from dynasindy.sindy.model import FORMAT
 from dynasindy.systems import Diverged, Signature, System, Tras, Xi, integrate
 from dynasindy.systems.transitions import Transitions
 
-# The paper, table "SINDY model Xi matrix": 19 coefficients.
-PUBLISHED = {
-    ("alpha_a", "Omega_a"): 1.0,
-    ("alpha_p", "Omega_p"): 1.0,
-    ("Omega_a", "Omega_a"): -10.0573,
-    ("Omega_a", "omega_a cos(alpha_p)"): 9.8316e-4,
-    ("Omega_a", "u_p cos(alpha_p)"): -0.7025,
-    ("Omega_a", "cos(alpha_p)"): 0.9479,
-    ("Omega_p", "1"): 0.5961,
-    ("Omega_p", "Omega_p"): -0.414,
-    ("Omega_p", "omega_p"): 0.0013,
-    ("Omega_p", "u_a"): 0.1303,
-    ("Omega_p", "Omega_a^2 sin(alpha_p)"): -16.3547,
-    ("Omega_p", "sin(alpha_p)"): -3.54373,
-    ("Omega_p", "cos(alpha_p)"): -1.7473,
-    ("omega_a", "1"): 262.7,
-    ("omega_a", "omega_a"): -5.2281,
-    ("omega_a", "u_a"): 3.7e4,
-    ("omega_p", "1"): -8.54,
-    ("omega_p", "omega_p"): -1.4193,
-    ("omega_p", "u_p"): 6.1e3,
-}
+PUBLISHED = {(s, name): v for name, row in TABLE.items() for s, v in zip(Xi().signature.state_names, row) if v}
 HOVER = (-0.11, 0.25)
 KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
 
