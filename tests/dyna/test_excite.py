@@ -128,26 +128,6 @@ def test_behind_sensors_a_pole_that_falls_is_held_after_a_few_tries(spring):
     assert len(begins) <= 5 and max(b - a for a, b in zip(begins, begins[1:], strict=False)) > 80
 
 
-def test_the_loop_is_the_regulator_of_the_plant_near_its_start():
-    experiment, torque = parts(Upright(5.0, 8.0, 1.0)), 8.0
-    pilot, generator = RegulatedExcitation(experiment.excitation), torch.Generator().manual_seed(0)
-
-    def shaken(tensordict):
-        return tensordict.set("action", 0.3 * torch.randn(1, generator=generator))
-
-    rows = torch.cat(
-        [_interact(experiment.env, shaken, 6, (torch.tensor([-1.0]), torch.tensor([1.0]))) for _ in range(8)]
-    )
-    pilot.close(rows, experiment)
-    assert pilot.mean.item() == pytest.approx(-1.0 / torque, abs=0.01)  # against the pull
-    at = rows[:1].clone()
-    at["state"] = torch.tensor([[0.1, 0.0]], dtype=torch.float64)
-    pilot.strength = 0.0
-    pushed = pilot(at.clone())["action"] - pilot.mean
-    assert pushed.item() < -0.1 * 5.0 / torque  # stronger than gravity
-    assert pilot.gain[0, 1] > 0  # and damped
-
-
 class Bursting(Upright):
     """The same pendulum, no number any more where it leaves its limits, all within one period."""
 
