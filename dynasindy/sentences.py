@@ -659,7 +659,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "control.period": lambda cause, **facts: _fill(
         f"the control period is {{seconds:g}} s, {PERIODS[cause]}; <env.dt> chooses another one", facts
     ),
-    "control.sampled": "the control period is {seconds:g} s and not {wanted:env.dt}, the log has one in {step:g} s",
+    "control.sampled": "the control period is {seconds:g} s, of multiples of the log's sampling time of {step:g} s "
+    "the one nearest to {wanted:g} s",
     "control.restless": "at rest {input} still changes by {percent:.2g} % of its range from period to period, on "
     "average: see that the actuator stands it",
     "control.beyond_targets": "references of {output} in scenario '{scenario}' go from {least:.3g} to "

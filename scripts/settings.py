@@ -163,21 +163,21 @@ def check(cfg: DictConfig, file: str = "", plugins: Sequence[str] = ()) -> None:
     raw: Any = OmegaConf.to_container(cfg, resolve=False)
     if isinstance(raw.get("system"), dict) and raw["system"].keys() & {"system", "plant"}:
         raise ValueError("the file of the plant lacks its header: let '# @package _global_' be its first line")
+    if not file:  # settings of a plant that nothing reads are refused; what a run read is all that its file holds
+        conf = " ".join(file.read_text() for file in CONF.rglob("*.yaml"))
+        read = {"plant.functions", "plant.libraries", *re.findall(r"\bplant(?:\.\w+)+", conf + repr(raw))}
+        groups = dict(nodes({"plant": raw.get("plant")}))
+        for group in ("plant", "plant.signals"):
+            below = [key.removeprefix(f"{group}.") for key in read if key.startswith(f"{group}.")]
+            allowed = {key.partition(".")[0] for key in below}
+            for name in [str(name) for name in groups.get(group, ()) if name not in allowed]:
+                raise ValueError(unknown_name(name, allowed, group))
     try:
         tree: Any = OmegaConf.to_container(cfg, resolve=True)
         if "train" not in tree and not file and (tree.get("data") or {}).get("path"):
             tree.pop("excitation", None)  # nothing is excited where there is a log, and its classes import TensorDict
         if file:
             require_trusted(raw, plugins)
-        else:  # settings of a plant that nothing reads are refused; what a run read is all that its file holds
-            conf = " ".join(file.read_text() for file in CONF.rglob("*.yaml"))
-            read = {"plant.functions", "plant.libraries", *re.findall(r"\bplant(?:\.\w+)+", conf + repr(raw))}
-            groups = dict(nodes({"plant": tree.get("plant")}))
-            for group in ("plant", "plant.signals"):
-                below = [key.removeprefix(f"{group}.") for key in read if key.startswith(f"{group}.")]
-                allowed = {key.partition(".")[0] for key in below}
-                for name in [str(name) for name in groups.get(group, ()) if name not in allowed]:
-                    raise ValueError(unknown_name(name, allowed, group))
         for key, value, hint in _values(tree, bool(file)):
             fit = _fit(value, hint, key)
             if repr(fit) != repr(value):  # 10 equals 10.0
@@ -187,7 +187,9 @@ def check(cfg: DictConfig, file: str = "", plugins: Sequence[str] = ()) -> None:
     except InterpolationToMissingValueError:  # a log's config names no plant yet, and the command says which there are
         return
     except InterpolationResolutionError as error:
-        what = f"{error.full_key} is taken from what is not given, or no group of keys; give the keys as conf/ does"
+        lacking = re.search(r"^Interpolation key '(.+)' not found$", str(error), re.M)
+        name = lacking[1] if lacking else f"what {error.full_key} is taken from"
+        what = f"{name} is not given, or no group of keys; give it as conf/ does"
         raise ValueError(f"{file}: {what}".removeprefix(": ")) from error
     except ValueError as error:
         raise ValueError(f"{file}: {error}".removeprefix(": ")) from error

@@ -25,6 +25,8 @@ from dynasindy.envs import RandomStep, Task, Tracking, TrackingReward
 from dynasindy.envs.control_env import ControlEnv
 from dynasindy.envs.drawing import Frame, draw
 from dynasindy.envs.task import TrackingMachine
+from dynasindy.limits import Positive
+from dynasindy.safe_io import checked
 from dynasindy.systems import Pendulum, Signature, System, Tras, Trms33, Xi
 from dynasindy.systems.steps import steps_of
 from dynasindy.text import duration_unit
@@ -182,6 +184,7 @@ class Foreign(System):
         observed: Names of the observation's entries, where the state is not all of them in their order.
         angles: States that are the angle of two entries: name to those of its sine and its cosine.
         rates: Which state is the rate of which, as `{"theta": "omega"}`.
+        repeat: Steps of the environment in a control period, in which the action is held.
 
     Raises:
         ValueError: Gymnasium has no such environment, a space is no box of one dimension, an action has no ends, the
@@ -190,6 +193,7 @@ class Foreign(System):
 
     known = False
 
+    @checked
     def __init__(
         self,
         id: str,  # noqa: A002 (Gymnasium's name)
@@ -201,8 +205,9 @@ class Foreign(System):
         observed: Sequence[str] | None = None,
         angles: Mapping[str, Sequence[str]] | None = None,
         rates: Mapping[str, str] | None = None,
+        repeat: Positive = 1,
     ) -> None:
-        self.id, self.options = id, dict(options or {})
+        self.id, self.options, self.repeat = id, dict(options or {}), repeat
         copy = self.make(1)
         seen, acted = copy.observation_space, copy.action_space
         for space, what in ((seen, "observation"), (acted, "action")):
@@ -242,10 +247,11 @@ class Foreign(System):
         self.ends = torch.where(clips, both, far)
         # How long a step is [s]: `dt`, as MuJoCo's and the pendulum have it, or `tau`, as the cart-pole.
         steps = (getattr(copy.unwrapped, name, None) for name in ("dt", "tau"))
-        self.period = next((float(s) for s in steps if isinstance(s, int | float) and 0 < s < math.inf), None)
+        self.period = next((repeat * float(s) for s in steps if isinstance(s, int | float) and 0 < s < math.inf), None)
         assert copy.spec is not None
         # What it was made with says how long episodes are here, not as which they are registered.
-        self.registered_steps = gymnasium.registry[copy.spec.id].max_episode_steps
+        registered = gymnasium.registry[copy.spec.id].max_episode_steps
+        self.registered_steps = None if registered is None else registered // repeat
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Refuse: the equations of a Gymnasium environment are not known.
@@ -256,13 +262,13 @@ class Foreign(System):
         raise TypeError(f"the equations of {self.id} are not known; give what needs them a model of it")
 
     def make(self, max_steps: int) -> gymnasium.Env[Any, Any]:
-        """Return a copy of the environment whose episodes end after `max_steps`.
+        """Return a copy of the environment whose episodes end after `max_steps` control periods.
 
         Raises:
             ValueError: Gymnasium has no such environment, or lacks a package for it.
         """
         try:
-            copy = gymnasium.make(self.id, max_episode_steps=max_steps, **self.options)
+            copy = gymnasium.make(self.id, max_episode_steps=max_steps * self.repeat, **self.options)
         except (gymnasium.error.Error, ModuleNotFoundError, TypeError) as error:
             reason = (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
             # Gymnasium's own words install a MuJoCo that TorchRL cannot be imported with.
@@ -271,7 +277,26 @@ class Foreign(System):
                 f"env.id={self.id}: {reason}; give an environment that gymnasium.make can build"
             ) from error
         grouped = isinstance(copy.observation_space, spaces.Dict | spaces.Tuple)
-        return gymnasium.wrappers.FlattenObservation(copy) if grouped else copy
+        copy = gymnasium.wrappers.FlattenObservation(copy) if grouped else copy
+        return copy if self.repeat == 1 else _Repeated(copy, self.repeat)
+
+
+class _Repeated(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """An environment that makes several steps with an action, and pays what they earn together."""
+
+    def __init__(self, env: gymnasium.Env[Any, Any], repeat: int) -> None:
+        super().__init__(env)
+        self.repeat = repeat
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Return the observation after the steps, or after the one that ends the episode."""
+        paid = 0.0
+        for _ in range(self.repeat):
+            seen, reward, terminated, truncated, info = self.env.step(action)
+            paid += float(reward)
+            if terminated or truncated:
+                break
+        return seen, paid, terminated, truncated, info
 
 
 class GymnasiumEnv(ControlEnv):

@@ -115,7 +115,10 @@ class RandomStep(Reference):
     def __init__(self, low: Sequence[float], high: Sequence[float]) -> None:
         _finite("random step (low, high)", low, high)
         if not all(a <= b for a, b in zip(low, high, strict=True)):
-            raise ValueError(f"random step needs low <= high, got low={list(low)}, high={list(high)}; swap them")
+            raise ValueError(
+                f"random step needs low <= high, got low={list(low)}, high={list(high)}; swap plant.low and "
+                "plant.high, or what is given in their place"
+            )
         self.low, self.high = torch.tensor(list(low)), torch.tensor(list(high))
         self.n_r = len(low)
 

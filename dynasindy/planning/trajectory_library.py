@@ -2,7 +2,7 @@
 
 | name     | symbol   | equation                                                                               |
 | -------- | -------- | -------------------------------------------------------------------------------------- |
-| points   | x_i, u_i | of the ways, counted from the rest of their reference; the rest itself is one          |
+| points   | x_i, u_i | of the ways to the rest of their reference, counted from there; the rest itself is one  |
 | value    | P_i      | Riccati's difference equation back from where the rest's regulator catches the plant   |
 | gain     | K_i      | the same                                                                               |
 | nearest  | i        | least of 30 ((x - x_i) / range)^2 + ln(1 + (x - x_i)' P_i (x - x_i))                   |
@@ -32,7 +32,7 @@ from torch import Tensor
 
 from dynasindy.envs import ControlEnv, Tracking
 from dynasindy.planning.regulator import Regulator
-from dynasindy.planning.rollout import Network, Rows, imagine, sensitivities
+from dynasindy.planning.rollout import Network, Rows, Window, imagine, sensitivities
 from dynasindy.progress import track
 from dynasindy.systems import simulate
 from dynasindy.systems.equilibria import Equilibria
@@ -126,7 +126,7 @@ class TrajectoryLibrary:
 
 
 class _Trajectory(NamedTuple):
-    """A way from one start: states `(T + 1, n_x)` and inputs `(T, n_u)`."""
+    """A way from one start to the rest: states `(T + 1, n_x)` and inputs `(T, n_u)`."""
 
     states: Tensor
     inputs: Tensor
@@ -135,8 +135,8 @@ class _Trajectory(NamedTuple):
 def _find_caught_trajectories(
     env: ControlEnv, regulator: Regulator, rows: Rows, rng: torch.Generator
 ) -> tuple[dict[int, _Trajectory], int]:
-    """Return ways to where the regulator catches the plant, by the number of their start, and what was imagined."""
-    found, imagined = {i: _Trajectory(rows.x[i : i + 1], rows.held[:0]) for i in _caught(env, regulator, rows)}, 0
+    """Return ways to the rest, by the number of their start, and what was imagined."""
+    found, imagined = _catch(env, regulator, rows), 0
     reference = env.task.reference(rows.params, rows.t).float()
     for periods in (length for length in LENGTHS if length <= env.task.max_steps):
         left = [i for i in range(len(rows.x)) if i not in found]
@@ -147,17 +147,26 @@ def _find_caught_trajectories(
         rank = regulator.value(ways.states, reference[left]).argsort(0)
         for k in rank[:TRIED]:
             here = Rows.start(ways.states[k, torch.arange(len(left))], rows.params[left], rows.held.shape[1])
-            for j in _caught(env, regulator, here):
-                found.setdefault(left[j], _Trajectory(ways.states[: k[j] + 1, j], ways.inputs[: k[j], j]))
+            for j, end in _catch(env, regulator, here).items():
+                states, inputs = ways.states[: k[j], j], ways.inputs[: k[j], j]
+                found.setdefault(left[j], _Trajectory(torch.cat([states, end.states]), torch.cat([inputs, end.inputs])))
     return found, imagined
 
 
-def _caught(env: ControlEnv, regulator: Regulator, rows: Rows) -> list[int]:
-    """Return the places of the rows from which the regulator brings the model to rest."""
-    return [int(i) for i in at_rest(env, regulator, regulator, rows, WATCHED).nonzero().squeeze(-1)]
+def _catch(env: ControlEnv, regulator: Regulator, rows: Rows) -> dict[int, _Trajectory]:
+    """Return the ways on which the regulator brings the model to rest, by the place of the row where they begin.
+
+    They belong to the law: a state on them is nearer to the end of what was searched than to the rest.
+    """
+    whole, reference, rests = _fly(env, regulator, regulator, rows, WATCHED)
+    away = (~regulator.home(whole.states, reference, NEAR)).int().flip(0)
+    lengths = torch.where(away.any(0), len(away) - away.argmax(0), 0).tolist()
+    return {
+        i: _Trajectory(whole.states[: lengths[i] + 1, i], whole.applied[: lengths[i], i])
+        for i in rests.nonzero().flatten().tolist()
+    }
 
 
-@torch.no_grad()
 def at_rest(env: ControlEnv, law: Network, regulator: Regulator, rows: Rows, periods: int) -> Tensor:
     """Return which imagined episodes rest at their reference in the end, bool `(rows,)`.
 
@@ -168,9 +177,17 @@ def at_rest(env: ControlEnv, law: Network, regulator: Regulator, rows: Rows, per
         rows: Where the episodes begin.
         periods: Their length [control periods].
     """
+    return _fly(env, law, regulator, rows, periods)[2]
+
+
+@torch.no_grad()
+def _fly(
+    env: ControlEnv, law: Network, regulator: Regulator, rows: Rows, periods: int
+) -> tuple[Window, Tensor, Tensor]:
+    """Return imagined episodes, their references, and which of them rest there in the end."""
     whole = imagine(env, law, replace(rows, kept=False), periods)
     reference = env.task.reference(rows.params, torch.full_like(rows.t, periods * env.dt)).float()
-    return regulator.home(whole.states[-STILL:], reference, NEAR).all(0) & whole.alive[-1]
+    return whole, reference, regulator.home(whole.states[-STILL:], reference, NEAR).all(0) & whole.alive[-1]
 
 
 def _along(

@@ -24,7 +24,7 @@ PLANTS = {
     "pendulum_own": ["system=gymnasium", "env.id=Pendulum-v1", "task=own", "train.episodes=0"],
     **{name: [f"system={name}", "train.episodes=0"] for name in ("inverted_pendulum", "double_pendulum", "reacher")},
     "mountain_car": ["system=gymnasium", "env.id=MountainCarContinuous-v0", "train.episodes=0"],
-    **{name: [f"system={name}"] for name in ("dm_pendulum", "dm_cartpole")},
+    **{name: [f"system={name}"] for name in ("dm_pendulum", "dm_cartpole", "dm_swing_up")},
     **{name: [f"system={name}"] for name in UNTUNED},
     **{f"{name}_bench": [f"system={name}", "sensors=bench"] for name in MEASURED},
 }

@@ -55,7 +55,7 @@ def more(name, x, u):
     return example(name, "more_plants")(*given).tolist()
 
 
-NOT_OURS = ("swing_up", "dm_pendulum", "dm_cartpole")  # of another plant's file, and simulated by dm_control
+NOT_OURS = ("swing_up", "dm_pendulum", "dm_cartpole", "dm_swing_up")  # of another file, or simulated by dm_control
 
 
 @pytest.mark.parametrize(

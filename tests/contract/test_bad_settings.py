@@ -120,6 +120,8 @@ def test_what_is_missing_or_wrong_where_a_log_is_planned_from(refused, log, tmp_
         ("train", ["plant.outputs=[alpha_a,alpha_a]"], "plant.outputs"),
         ("train", ["experiment=smoke", "scenario.seconds=0.01"], "scenario.seconds"),
         ("identify", ["system=pendulum", "world_model=oracle"], "world_model"),
+        ("train", ["~plant.outputs", "+plant.outputz=[alpha_a]"], "mean 'outputs'"),
+        ("train", ["~plant.outputs"], "plant.outputs is not given"),
     ],
 )
 def test_a_bad_setting_of_any_other_command(refused, tmp_path, name, words, key):
@@ -212,7 +214,7 @@ class Failing(System):
 """
 YAML = """# @package _global_
 system: {_target_: failing.Failing}
-plant: {outputs: [p], rates: [v], low: [-0.5], high: [0.5], library: polynomial, amplitude: [0.8], offset: [0.0]}
+plant: {outputs: [p], rates: [v], low: [-0.5], high: [0.5]}
 """
 
 

@@ -199,6 +199,16 @@ def test_an_environment_that_cuts_an_episode_short_is_heeded():
     assert [played.step(np.ones(2))[2:4] for _ in range(3)] == [(False, False), (False, False), (False, True)]
 
 
+def test_an_action_is_held_for_the_steps_of_a_control_period_and_paid_for_all_of_them():
+    env = environment("tests/Short-v0", {"x1": 0.0}, dt=0.1, repeat=2)
+    stepped = env.rollout(200, lambda td: td.set("action", torch.tensor([-0.5, -0.4])), auto_reset=True)["next"]
+    # -0.4 of the range from 0 to 1 is 0.3 a step: x2 is 0.6, 1.2, 1.8, and the first step of the fourth goes beyond 2.
+    torch.testing.assert_close(stepped["state"][:, 1], torch.tensor([0.6, 1.2, 1.8, 2.1], dtype=torch.float64))
+    assert stepped["own_reward"].flatten().tolist() == [2.0, 2.0, 2.0, 1.0]
+    with pytest.raises(ValueError, match="repeat"):
+        Foreign("tests/Short-v0", repeat=0)
+
+
 class Grouped(Steps):
     """The same, whose observation is a dictionary, as those of dm_control are."""
 

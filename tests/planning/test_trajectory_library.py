@@ -74,6 +74,42 @@ def test_a_pole_swings_up_and_stays_up(swing):
             assert abs(x[0]) < 0.01 and abs(x[1]) < 0.05
 
 
+def test_a_way_leads_on_from_where_the_regulator_catches_the_plant():
+    """A cart whose pole hangs, pushed by 8 m/s^2: caught half a radian from upright, and brought to the middle."""
+
+    class Cart(System):
+        def __init__(self):
+            super().__init__(
+                Signature(("p", "theta", "v", "w"), ("m", "rad", "m/s", "rad/s"), ("u",), (1.0, 3.0, 3.0, 8.0))
+            )
+
+        def forward(self, x, u):
+            _, theta, v, w = x.unbind(-1)
+            push = 8.0 * u[..., 0]
+            return torch.stack((v, w, push, 15.0 * theta.sin() - 1.5 * push * theta.cos()), -1)
+
+    plant = Cart()
+    reward = TrackingReward((4.0,), error_shape="linear", bonus=0.0, width=0.02)
+    start = {"theta": [math.pi - 0.01, math.pi + 0.01]}
+    targets = RandomStep([0.0, 0.0], [0.0, 0.0])
+    task = Tracking(plant.signature, targets, ("p", "theta"), ("v", "w"), reward, 120, start=start, bounds={"p": 1.4})
+    env = ControlEnv(plant, task, 0.05, 1)
+    law, _ = TrajectoryLibrary.of(env, find_task_equilibria(env), torch.Generator().manual_seed(0))
+    x = np.array([0.0, math.pi, 0.0, 0.0])
+    for _ in range(160):
+        u = float(law(observed(env, torch.tensor(x[None], dtype=torch.float32)))[0, 0])
+        push = 8.0 * u
+        found = solve_ivp(
+            lambda _, y, a=push: [y[2], y[3], a, 15 * math.sin(y[1]) - 1.5 * a * math.cos(y[1])],
+            (0, 0.05),
+            x,
+            rtol=1e-9,
+        )
+        x = found.y[:, -1]
+        assert abs(x[0]) < 1.5
+    assert np.abs(x).max() < 0.05
+
+
 def test_the_nearest_point_is_that_of_the_formula(swing):
     env, law = swing
     generator = torch.Generator().manual_seed(1)
