@@ -26,15 +26,6 @@ def test_the_gain_and_the_slowest_mode_are_those_of_the_riccati_equation(inverte
     assert math.exp(-1 / law.slowest) == pytest.approx(radius, rel=1e-4)
 
 
-def test_at_rest_the_law_gives_the_input_that_holds_the_target(inverted):
-    env, rests = inverted()
-    law = Regulator.of(env, rests)
-    for target in (-0.35, 0.0, 0.2):
-        x, params = torch.tensor([[target, 0.0]]), torch.tensor([[[target, 0.0, 0.0, 0.0, 0.0]]])
-        u = law(env.task.observation(x, params, torch.zeros(1, 1)))
-        assert u.item() == pytest.approx(-4.0 / 6.0 * math.sin(target), abs=1e-3)
-
-
 @pytest.mark.parametrize(("dt", "a", "b"), [(0.5, -0.6, 1.0), (1.0, 0.36, 0.4)])
 def test_a_difference_equation_is_regulated_as_the_map_that_it_is(mapped, dt, a, b):
     """x[k+1] = -0.6 x[k] + u[k], every step of 0.5 s; two of its steps are 0.36 x + 0.4 u, which nothing alternates."""

@@ -11,20 +11,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from dynasindy.sindy import Oracle, SindyModel
-from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
-from dynasindy.systems import Signature, Tras, integrate
+from dynasindy.sindy.world_model import one_step_error, open_loop
+from dynasindy.systems import Signature, integrate
 from dynasindy.systems.transitions import Transitions
-
-
-@pytest.mark.parametrize("make", [lambda p: Oracle(p.signature, p), lambda p: SindyModel(p.signature)])
-def test_every_model_is_a_system_with_the_plants_signature(make, tmp_path):
-    plant = Tras()
-    model = make(plant)
-    assert model.signature == plant.signature
-    assert model(torch.zeros(4, 6), torch.zeros(4, 2)).shape == (4, 6)
-    assert len(model.equations()) == 6
-    model.save(tmp_path / "model.json")
-    assert (tmp_path / "model.json").read_text().startswith("{")
 
 
 def test_of_a_difference_equation_it_moves_by_its_steps():
@@ -48,15 +37,6 @@ def recording(dt: float = 0.1, seed: int = 0, n: int = 40) -> Transitions:
             states.append(step[:2, :2] @ states[-1] + step[:2, 2:] @ held)
         parts.append(Transitions.from_trajectory(torch.from_numpy(np.array(states)), torch.from_numpy(u), dt))
     return Transitions.cat(parts)
-
-
-def test_the_true_model_errs_by_its_integration_only_and_that_by_fourth_order():
-    data = recording()
-    model = Linear(MATRIX, PULL)
-    coarse, fine = one_step_error(model, data), one_step_error(model, data, substeps=2)
-    assert float(coarse.max()) < 1e-4
-    assert bool(((coarse / fine > 12) & (coarse / fine < 20)).all())
-    assert float(nrmse(open_loop(model, data, substeps=20), data).max()) < 1e-8
 
 
 def test_the_error_of_a_wrong_model_is_that_of_its_matrix_exponential():

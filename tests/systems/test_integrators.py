@@ -1,5 +1,3 @@
-import math
-
 import pytest
 import torch
 
@@ -11,27 +9,9 @@ from dynasindy.systems import (
     Tras,
     integrate,
     moved,
-    rk4,
     simulate,
     steps_needed,
 )
-
-
-def oscillator(x, u):
-    return torch.stack((x[..., 1], -x[..., 0]), -1)
-
-
-def error_after_one_second(steps):
-    x = torch.tensor([1.0, 0.0], dtype=torch.float64)
-    for _ in range(steps):
-        x = rk4(oscillator, x, torch.zeros(1), 1 / steps)
-    exact = torch.tensor([math.cos(1), -math.sin(1)], dtype=torch.float64)
-    return (x - exact).norm().item()
-
-
-def test_rk4_is_of_fourth_order():
-    orders = [math.log2(error_after_one_second(n) / error_after_one_second(2 * n)) for n in (10, 20, 40)]
-    assert orders == pytest.approx([4, 4, 4], abs=0.1)
 
 
 def test_a_stop_touched_only_on_the_way_is_reported_and_every_sample_is_held():
