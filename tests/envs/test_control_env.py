@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 from alternating import Mapped
+from plants import Linear, held_motion
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
@@ -295,26 +295,7 @@ def test_a_difference_equation_gets_its_inputs_whole_steps_late(delay, late_step
         ControlEnv(plant, task, DT, 2, delay=0.06, dtype=torch.float64).rollout(3)
 
 
-class Oscillator(System):
-    """q'' = -4 q - 0.4 q' + 3 u."""
-
-    A = np.array([[0.0, 1.0], [-4.0, -0.4]])
-    B = np.array([[0.0], [3.0]])
-
-    def __init__(self, stops=None):
-        super().__init__(Signature(("q", "v"), ("rad", "rad/s"), ("u",), (1.0, 1.0)), stops)
-
-    def forward(self, x, u):
-        return x @ torch.from_numpy(self.A).to(x).mT + u @ torch.from_numpy(self.B).to(x).mT
-
-
-def exact(u: np.ndarray, dt: float, x0: np.ndarray) -> np.ndarray:
-    """The matrix exponential of [A B; 0 0]: the motion under held inputs."""
-    step = expm(dt * np.block([[Oscillator.A, Oscillator.B], [np.zeros((1, 3))]]))
-    states = [x0]
-    for held in u:
-        states.append(step[:2, :2] @ states[-1] + step[:2, 2:] @ held)
-    return np.array(states)
+OSCILLATOR = [[0.0, 1.0], [-4.0, -0.4]], [[0.0], [3.0]]
 
 
 def inputs(n: int = 60) -> torch.Tensor:
@@ -323,23 +304,24 @@ def inputs(n: int = 60) -> torch.Tensor:
 
 def test_a_linear_plant_moves_as_the_matrix_exponential_says():
     u, start = inputs(), np.array([0.3, -0.2])
-    data = record_plant(Oscillator(), u, 0.05, x0=torch.from_numpy(start))
-    motion = exact(u.numpy(), 0.05, start)
+    data = record_plant(Linear(*OSCILLATOR), u, 0.05, x0=torch.from_numpy(start))
+    motion = held_motion(*OSCILLATOR, start, u, 0.05)
     assert np.allclose(data.x, motion[:-1], atol=1e-9) and np.allclose(data.x_next, motion[1:], atol=1e-9)
     assert torch.equal(data.u, u) and data.dt == 0.05 and data.segment.unique().tolist() == [0]
 
 
 def test_a_recording_starts_at_rest_in_double_precision_without_gradients():
-    data = record_plant(Oscillator(), inputs(3).float().requires_grad_(), 0.05)
+    data = record_plant(Linear(*OSCILLATOR), inputs(3).float().requires_grad_(), 0.05)
     assert data.x[0].tolist() == [0.0, 0.0]
     assert data.x.dtype == data.u.dtype == torch.float64 and not data.x_next.requires_grad
 
 
 def test_samples_that_touch_a_stop_are_left_out_and_split_the_recording():
-    plant = Oscillator(Stops((0,), (1,), (-0.5,), (0.5,)))
+    plant = Linear(*OSCILLATOR)
+    plant.stops = Stops((0,), (1,), (-0.5,), (0.5,))
     u = torch.cat([torch.full((20, 1), 1.0), torch.zeros(40, 1)]).double()
     data = record_plant(plant, u, 0.05)
-    free = exact(u.numpy(), 0.05, np.zeros(2))
+    free = held_motion(*OSCILLATOR, [0, 0], u, 0.05)
     before = int(np.argmax(free[1:, 0] >= 0.5))  # transitions that end below the stop
     assert 0 < before < len(data) < 60
     assert bool((data.x_next[:, 0].abs() < 0.5).all())
@@ -348,7 +330,7 @@ def test_samples_that_touch_a_stop_are_left_out_and_split_the_recording():
 
 
 def test_noise_does_not_leak_over_a_gap():
-    clean = record_plant(Oscillator(), inputs(60), 0.05)
+    clean = record_plant(Linear(*OSCILLATOR), inputs(60), 0.05)
     clean = clean.select(torch.arange(60) != 30)
     noisy = clean.disturbed(0.1, seed=3)
     assert not torch.equal(noisy.x[30] - clean.x[30], noisy.x_next[29] - clean.x_next[29])
@@ -356,7 +338,7 @@ def test_noise_does_not_leak_over_a_gap():
 
 
 def test_noise_is_its_seeds_numbers_times_the_spread_of_each_state():
-    clean = record_plant(Oscillator(), inputs(20), 0.05)
+    clean = record_plant(Linear(*OSCILLATOR), inputs(20), 0.05)
     noisy, rng = clean.disturbed(0.2, seed=7), torch.Generator().manual_seed(7)
     after, first = (torch.randn(20, 2, generator=rng, dtype=torch.float64) for _ in range(2))
     spread = torch.from_numpy(np.std(clean.x_next.numpy(), 0, ddof=1))

@@ -1,6 +1,8 @@
 """Plants whose motion is that of a matrix, and one that falls from upright."""
 
+import numpy as np
 import torch
+from scipy.linalg import expm
 
 from dynasindy.systems.base import Signature, System
 
@@ -26,6 +28,16 @@ B = torch.tensor([[0.0], [0.0], [3.0]], dtype=torch.float64)
 def spring():
     """Return the mass on its spring."""
     return Linear(A, B, (1.0, 2.0, 0.5), "pvm")
+
+
+def held_motion(a, b, x0, inputs, dt):
+    """Return the exact states of dx/dt = A x + B u under held inputs, by the matrix exponential of [A B; 0 0]."""
+    n, n_u = np.shape(b)
+    step = expm(dt * np.block([[np.array(a), np.array(b)], [np.zeros((n_u, n + n_u))]]))[:n]
+    states = [np.asarray(x0, dtype=float)]
+    for held in np.asarray(inputs).reshape(-1, n_u):
+        states.append(step @ [*states[-1], *held])
+    return np.array(states)
 
 
 class Upright(System):

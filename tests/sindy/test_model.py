@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from plants import held_motion
 from published import TABLE
-from scipy.linalg import expm
 from torch import Tensor
 
 from dynasindy.envs import Aprbs, Chirp, Excitation, Multisine
@@ -296,11 +296,9 @@ PAIR = Signature(("x", "v"), ("m", "m/s"), ("u",), (1.0, 1.0))
 def _oscillator(seed: int, noise: float = 0.01) -> Transitions:
     """x' = v, v' = -4 x - v + 3 u in exact steps of 0.05 s, with white noise in both states."""
     rng = np.random.default_rng(seed)
-    flow = expm(0.05 * np.array([[0.0, 1, 0], [-4, -1, 3], [0, 0, 0]]))
-    x, u = [np.zeros(2)], rng.uniform(-1, 1, 40).repeat(10)
-    for held in u:
-        x.append((flow @ [*x[-1], held])[:2])
-    seen = np.array(x) + noise * rng.normal(size=(len(x), 2))
+    u = rng.uniform(-1, 1, 40).repeat(10)
+    x = held_motion([[0.0, 1], [-4, -1]], [[0.0], [3]], [0, 0], u, 0.05)
+    seen = x + noise * rng.normal(size=x.shape)
     return Transitions.from_trajectory(torch.from_numpy(seen), torch.from_numpy(u)[:, None], 0.05)
 
 

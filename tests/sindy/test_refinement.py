@@ -7,6 +7,7 @@ import pytest
 import torch
 from benchmarks.identify import TEXTBOOK
 from first_order import LIBRARY, A, B, column, motion
+from plants import held_motion
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 
@@ -184,14 +185,11 @@ def test_changes_across_two_segments_are_none():
 @pytest.mark.parametrize(("w", "damping", "dt"), [(8.0, 0.4, 0.25), (8.0, 0.7, 0.1875), (8.0, 0.4, 0.05)])
 def test_a_clean_log_with_long_steps_and_an_input_that_jumps_at_each_is_not_noisy(w, damping, dt):
     """The motion is that of a'' = w^2 (u - a) - 2 damping w a', by its matrix exponential."""
-    step = expm(dt * np.array([[0, 1, 0], [-(w**2), -2 * damping * w, w**2], [0, 0, 0]]))
-    rng, x = np.random.default_rng(0), [np.zeros(2)]
-    u = rng.uniform(-1, 1, 600)
-    for held in u:
-        x.append((step @ [*x[-1], held])[:2])
+    u = np.random.default_rng(0).uniform(-1, 1, 600)
+    x = held_motion([[0, 1], [-(w**2), -2 * damping * w]], [[0], [w**2]], [0, 0], u, dt)
     signature = Signature(("a", "b"), ("m", "m/s"), ("u",), (1.0, w))
     model = SindyModel(signature, ["a", "b", "u"], Regression("bic"), Refinement("auto"), known={"a": "b"})
-    found = model.fit(Transitions.from_trajectory(torch.from_numpy(np.array(x)), torch.from_numpy(u)[:, None], dt))
+    found = model.fit(Transitions.from_trajectory(torch.from_numpy(x), torch.from_numpy(u)[:, None], dt))
     assert model.delay == 0 and "fit.single_steps" in [each.code for each in found.findings]
     assert model.coefficients[:, 1].tolist() == pytest.approx([-(w**2), -2 * damping * w, w**2], rel=1e-5)
 
