@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from plants import pendulum_rates, scipy_motion
 
 import dynasindy
 from dynasindy.envs import Step
@@ -34,17 +34,7 @@ def test_the_lines_of_the_readme_run(monkeypatch, capsys, method):
 
 def test_the_log_that_is_there_to_try_is_one_of_a_pendulum():
     """angle'' = 12 u - 9.81 sin(angle) - 0.5 angle', by SciPy; an encoder of 4096 steps, and a rate with noise."""
-    t, angle, rate, u = np.loadtxt(REPOSITORY / "docs" / "log.csv", delimiter=",", skiprows=1).T
-    x = np.zeros((len(t), 2))
-    for k in range(len(t) - 1):
-        moved = solve_ivp(
-            lambda _, x, u: [x[1], 12 * u - 9.81 * np.sin(x[0]) - 0.5 * x[1]],
-            (0, 0.01),
-            x[k],
-            args=(u[k],),
-            rtol=1e-9,
-            atol=1e-11,
-        )
-        x[k + 1] = moved.y[:, -1]
+    _, angle, rate, u = np.loadtxt(REPOSITORY / "docs" / "log.csv", delimiter=",", skiprows=1).T
+    x = scipy_motion(pendulum_rates, [0, 0], u[:-1], 0.01)
     assert np.abs(angle - x[:, 0]).max() < math.pi / 4096 + 1e-4
     assert np.std(rate - x[:, 1]) == pytest.approx(0.02, rel=0.1) and abs(np.mean(rate - x[:, 1])) < 0.002

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from plants import pendulum_rates, scipy_motion
 
 import dynasindy
 from dynasindy.control import save
@@ -50,9 +50,7 @@ def flight(act, seconds=8.0, dt=0.05):
         y = np.array([math.nan, math.nan]) if k % 17 == 5 else x + [0.0, 1e-3] * rng.standard_normal(2)
         u = float(act(y, [0.4 if k * dt < seconds / 2 else -0.3])[0])
         found.append((x[0], u))
-        x = solve_ivp(
-            lambda _, x, u=u: [x[1], 12 * u - 9.81 * math.sin(x[0]) - 0.5 * x[1]], (0, dt), x, rtol=1e-9, atol=1e-11
-        ).y[:, -1]
+        x = scipy_motion(pendulum_rates, x, [u], dt)[-1]
     return np.array(found).T
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scipy.integrate import solve_ivp
+from plants import pendulum_rates, scipy_motion
 
 import dynasindy
 from dynasindy.rig import Guard, UdpRig, Wiring, run_flight
@@ -26,7 +26,7 @@ REST = 2**32 - 1
 
 def moved(x, u):
     """Return the state of a pendulum a control period on."""
-    return solve_ivp(lambda _, y: [y[1], 12 * u - 9.81 * math.sin(y[0]) - 0.5 * y[1]], (0, 0.05), x, rtol=1e-9).y[:, -1]
+    return scipy_motion(pendulum_rates, x, [u], 0.05)[-1]
 
 
 class FarEnd(threading.Thread):

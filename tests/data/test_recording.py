@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scipy.integrate import solve_ivp
+from plants import pendulum_rates, scipy_motion
 
 import dynasindy
 from dynasindy import envs
@@ -318,17 +318,7 @@ def swung(held, n=1500):
     rng = np.random.default_rng(0)
     t = DT * (np.arange(n) + 0.2 * rng.uniform(-1, 1, n))
     u = np.repeat(rng.uniform(-0.5, 0.5, n // held + 1), held)[:n]
-    x = np.zeros((n, 2))
-    for k in range(n - 1):
-        push = 12 * u[k]
-        x[k + 1] = solve_ivp(
-            lambda _, s, push=push: [s[1], push - 9.81 * math.sin(s[0]) - 0.5 * s[1]],
-            (t[k], t[k + 1]),
-            x[k],
-            rtol=1e-7,
-            atol=1e-9,
-        ).y[:, -1]
-    return t, x, u
+    return t, scipy_motion(pendulum_rates, [0, 0], u[:-1], np.diff(t), 1e-7, 1e-9), u
 
 
 def resampled(folder, t, u, dt, **states):

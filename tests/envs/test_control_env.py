@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 from alternating import Mapped
-from plants import Linear, held_motion
-from scipy.integrate import solve_ivp
+from plants import Linear, held_motion, pendulum_rates, scipy_motion
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
@@ -264,9 +263,7 @@ def test_each_sample_is_where_the_late_inputs_have_brought_the_plant(periods):
         for half in (0.0, 0.5):  # an input changes in the middle of a sample at 2.5 periods
             begun = int(np.floor((k + half) / 5 - periods + 1e-9))
             u = inputs[begun] if begun >= 0 else 0.0
-            x = solve_ivp(
-                lambda t, x, u=u: [x[1], 12 * u - 9.81 * np.sin(x[0]) - 0.5 * x[1]], (0, 0.005), x, rtol=1e-9
-            ).y[:, -1]
+            x = scipy_motion(pendulum_rates, x, [u], 0.005)[-1]
         truth.append(x)
     np.testing.assert_allclose(seen, truth, atol=2e-3 if periods == 2.5 else 1e-5)
 

@@ -6,6 +6,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
+from plants import scipy_motion
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete
 
@@ -99,12 +100,8 @@ def test_rate_hold_and_cubic_are_found_where_nobody_told_them(tmp_path):
 def test_the_law_of_a_fan_is_found_where_nobody_named_it():
     """y'' = -9 sin(y) - y' + 20 u |u| of an angle alone, read with noise: thrust turns its sign with the input."""
     u, dt = steps(3, 100, 15), 0.02
-    x, angles = np.zeros(2), [0.0]
-    for held in u:
-        thrust = 20 * held * abs(held)
-        x = solve_ivp(lambda t, x: (x[1], -9 * np.sin(x[0]) - x[1] + thrust), (0, dt), x, rtol=1e-8).y[:, -1]  # noqa: B023
-        angles.append(x[0])
-    y = np.array(angles) + np.random.default_rng(4).normal(0, 0.002, len(angles))
+    rates = lambda _, x, u: (x[1], -9 * np.sin(x[0]) - x[1] + 20 * u * abs(u))  # noqa: E731
+    y = scipy_motion(rates, [0, 0], u, dt, 1e-8, 1e-6)[:, 0] + np.random.default_rng(4).normal(0, 0.002, len(u) + 1)
     model = fitted(source_of(y, u, dt, ("angle",), ("rad",))).model
     names = {"angle_rate": -1.0, "sin(angle)": -9.0, "u |u|": 20.0}
     assert {name: coefficient(model, "angle_rate", name) for name in names} == pytest.approx(names, rel=0.1)
@@ -263,11 +260,9 @@ def test_two_stores_whose_levels_are_read_need_roots_and_no_rates(one_fold):
         a, b = np.sqrt(x)
         return [0.6 * pump - 0.18 * a, 0.225 * a - 0.2 * b]
 
-    x = [np.array([2.8, 3.5])]
-    for pump in u:
-        x.append(solve_ivp(slope, (0, dt), x[-1], args=(pump,), rtol=1e-8).y[:, -1])
-    noise = np.random.default_rng(2).normal(0, 0.02, (len(x), 2))
-    found = fitted(source_of(np.array(x) + noise, u, dt, ("a", "b"), ("cm", "cm"))).model
+    x = scipy_motion(slope, [2.8, 3.5], u, dt, 1e-8, 1e-6)
+    noise = np.random.default_rng(2).normal(0, 0.02, x.shape)
+    found = fitted(source_of(x + noise, u, dt, ("a", "b"), ("cm", "cm"))).model
     assert found.signature.state_names == ("a", "b")
     names = {("a", "u"): 0.6, ("a", "sqrt(a)"): -0.18, ("b", "sqrt(a)"): 0.225, ("b", "sqrt(b)"): -0.2}
     assert {key: coefficient(found, *key) for key in names} == pytest.approx(names, rel=0.03)
@@ -289,10 +284,8 @@ def test_the_inertia_that_an_angle_changes_is_found_among_those_of_all_angles(on
         right = swing * s * c * omega**2 - weight * s - 1e-5 * rate
         return [omega, rate, *np.linalg.solve(inertia, [left, right])]
 
-    x = [np.zeros(4)]
-    for volts in u:
-        x.append(solve_ivp(slope, (0, dt), x[-1], args=(volts,), rtol=1e-8, atol=1e-10).y[:, -1])
-    angles = np.round(np.array(x)[:, :2] / (2 * np.pi / 4096)) * (2 * np.pi / 4096)
+    x = scipy_motion(slope, np.zeros(4), u, dt, 1e-8, 1e-10)
+    angles = np.round(x[:, :2] / (2 * np.pi / 4096)) * (2 * np.pi / 4096)
     found = fitted(source_of(angles, u[:, None], dt, ("theta", "alpha"), ("rad", "rad"))).model
     # det M = (arm + swing) pole (1 + p cos(alpha)^2)
     p = -(swing * pole + coupling**2) / ((arm + swing) * pole)

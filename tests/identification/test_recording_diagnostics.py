@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from scipy.integrate import solve_ivp
+from plants import scipy_motion
 
 import dynasindy
 from dynasindy.identification.forecast_errors import ForecastErrors
@@ -162,12 +162,8 @@ def swing():
     random = np.random.default_rng(3)
     u, gust = (np.repeat(random.uniform(-1, 1, ROWS // 10), 10) for _ in range(2))
     gust = np.convolve(gust, np.ones(8) / 8, "same")
-    x = [np.zeros(2)]
-    for k in range(ROWS - 1):
-        forced = 7 * u[k] + 9 * gust[k]
-        field = lambda t, x, forced=forced: (x[1], -0.9 * x[1] - 12 * np.sin(x[0]) + forced)  # noqa: E731
-        x.append(solve_ivp(field, (0, DT), x[-1], rtol=1e-8).y[:, -1])
-    return DT * np.arange(ROWS), u, gust, *np.array(x).T
+    rates = lambda _, x, push: (x[1], -0.9 * x[1] - 12 * np.sin(x[0]) + push)  # noqa: E731
+    return DT * np.arange(ROWS), u, gust, *scipy_motion(rates, [0, 0], (7 * u + 9 * gust)[:-1], DT, 1e-8, 1e-6).T
 
 
 def states_of(tmp_path, **columns):
@@ -203,14 +199,14 @@ def test_what_a_product_moves_or_tells_of_stays(tmp_path):
     """A place goes by speed times a sine of the heading, a speed by the voltage of a battery times the input."""
     random = np.random.default_rng(0)
     speed, turn = np.repeat(random.uniform(0, 1, 67), 30)[:2000], np.repeat(random.uniform(-1, 1, 100), 20)
-    voltage, x = 12 + 3 * np.sin(0.18 * 0.05 * np.arange(2000)), [np.zeros(4)]
-    for k in range(1999):
-        field = lambda t, x, k=k: (  # noqa: E731
-            *(speed[k] * np.cos(x[2]), speed[k] * np.sin(x[2]), 2 * turn[k]),
-            voltage[k] / 12 * turn[k] - x[3],
-        )
-        x.append(solve_ivp(field, (0, 0.05), x[-1], rtol=1e-6).y[:, -1])
-    x, voltage = (value + random.normal(0, 3e-3, value.shape) for value in (np.array(x), voltage))
+    voltage = 12 + 3 * np.sin(0.18 * 0.05 * np.arange(2000))
+
+    def rates(_, x, k):
+        along, across = speed[k] * np.cos(x[2]), speed[k] * np.sin(x[2])
+        return along, across, 2 * turn[k], voltage[k] / 12 * turn[k] - x[3]
+
+    x = scipy_motion(rates, np.zeros(4), range(1999), 0.05, 1e-6, 1e-6)
+    x, voltage = (value + random.normal(0, 3e-3, value.shape) for value in (x, voltage))
     names = ("east", "north", "heading")
     log = {"time": 0.05 * np.arange(2000), **dict(zip(names, x.T[:3], strict=True)), "u_speed": speed, "u_turn": turn}
     assert states_of(tmp_path, **log) == (names, [])

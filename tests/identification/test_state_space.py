@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from scipy.integrate import solve_ivp
+from plants import scipy_motion
 from scipy.signal import cont2discrete, dlsim
 
 from dynasindy.identification.log_fit import SHORTEST
@@ -74,10 +74,8 @@ def test_a_place_behind_a_late_sensor_gets_hidden_states_beside_a_motor_with_fri
     def moves(now, x, force):
         return [3 * force - 2 * x[0] - np.tanh(10 * x[0]), *behind @ x[1:] + [0.0, 0.0, 50 * x[0]]]
 
-    x = [np.zeros(4)]
-    for force in u[:-1]:
-        x.append(solve_ivp(moves, (0.0, DT), x[-1], args=(force,), rtol=1e-9, atol=1e-10).y[:, -1])
-    seen = torch.from_numpy(np.array(x)[:, :2] + 1e-4 * np.random.default_rng(0).standard_normal((len(x), 2)))
+    x = scipy_motion(moves, np.zeros(4), u[:-1], DT, atol=1e-10)
+    seen = torch.from_numpy(x[:, :2] + 1e-4 * np.random.default_rng(0).standard_normal((len(x), 2)))
     signature = Signature(("speed", "place"), ("rad/s", "m"), ("force",), (1.0, 1.0))
     motor = SindyModel(signature, ["speed", "force", "tanh(10 speed)", "place"])
     motor.set_coefficients(torch.tensor([[-2.0, 0.0], [3.0, 0.0], [-1.0, 0.0], [0.0, -1.0]], dtype=torch.float64))

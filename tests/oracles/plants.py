@@ -1,7 +1,10 @@
-"""Plants whose motion is that of a matrix, and one that falls from upright."""
+"""Plants whose motion is that of a matrix, one that falls from upright, and motions under held inputs by SciPy."""
+
+import math
 
 import numpy as np
 import torch
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from dynasindy.systems.base import Signature, System
@@ -37,6 +40,20 @@ def held_motion(a, b, x0, inputs, dt):
     states = [np.asarray(x0, dtype=float)]
     for held in np.asarray(inputs).reshape(-1, n_u):
         states.append(step @ [*states[-1], *held])
+    return np.array(states)
+
+
+def pendulum_rates(_, x, u):
+    """Return the rates of a `Pendulum` with the constants that it has by itself."""
+    return [x[1], 12 * u - 9.81 * math.sin(x[0]) - 0.5 * x[1]]
+
+
+def scipy_motion(rates, x0, inputs, dt, rtol=1e-9, atol=1e-11):
+    """Return the states of x' = rates(t, x, u) under inputs, each held for dt, or for its own."""
+    states = [np.asarray(x0, dtype=float)]
+    for held, period in zip(inputs, np.broadcast_to(dt, len(inputs)), strict=True):
+        moved = solve_ivp(rates, (0, period), states[-1], args=(held,), rtol=rtol, atol=atol)
+        states.append(moved.y[:, -1])
     return np.array(states)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pysindy
 import pytest
 import torch
-from scipy.integrate import solve_ivp
+from plants import scipy_motion
 
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.named_libraries import (
@@ -99,10 +99,8 @@ def log_of_an_axis(n: int = 1500, dt: float = 0.01) -> Transitions:
     """Angle and rate under a sum of sines, sampled and held, by scipy."""
     t = dt * np.arange(n)
     u = 0.25 * sum(np.sin(2 * np.pi * f * t + phase) for f, phase in ((0.2, 0), (0.5, 1), (0.9, 2), (1.7, 4)))
-    x = [np.zeros(2)]
-    for held in u:
-        x.append(solve_ivp(axis, (0, dt), x[-1], args=(held,), rtol=1e-9, atol=1e-11).y[:, -1])
-    return Transitions.from_trajectory(torch.from_numpy(np.array(x)), torch.from_numpy(u)[:, None], dt)
+    x = scipy_motion(axis, [0, 0], u, dt)
+    return Transitions.from_trajectory(torch.from_numpy(x), torch.from_numpy(u)[:, None], dt)
 
 
 def test_friction_that_differs_by_direction_is_identified_from_a_log():

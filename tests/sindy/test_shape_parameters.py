@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from scipy.integrate import solve_ivp
+from plants import scipy_motion
 
 from dynasindy.findings import weak
 from dynasindy.sindy import Refinement, Regression, SindyModel
@@ -19,10 +19,9 @@ ARM = Signature(("a", "w"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
 
 def recording(rate, start: list[float], n: int = 400, seed: int = 0) -> Transitions:
     """States of an equation under random inputs, each held for five samples, by scipy."""
-    u, x = np.random.default_rng(seed).uniform(-3, 3, n // 5).repeat(5), [np.array(start)]
-    for held in u:
-        x.append(solve_ivp(lambda _, z, v=held: rate(z, v), (0, DT), x[-1], rtol=1e-10, atol=1e-12).y[:, -1])
-    return Transitions.from_trajectory(torch.from_numpy(np.array(x)), torch.from_numpy(u)[:, None], DT)
+    u = np.random.default_rng(seed).uniform(-3, 3, n // 5).repeat(5)
+    x = scipy_motion(lambda _, z, v: rate(z, v), start, u, DT, 1e-10, 1e-12)
+    return Transitions.from_trajectory(torch.from_numpy(x), torch.from_numpy(u)[:, None], DT)
 
 
 def cart(z: np.ndarray, u: float) -> list[float]:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 from alternating import Alternating
-from plants import Linear, held_motion
-from scipy.integrate import solve_ivp
+from plants import Linear, held_motion, scipy_motion
 
 from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.sindy.world_model import one_step_error, open_loop
@@ -56,22 +55,11 @@ def swing() -> SindyModel:
     return model
 
 
-def solved(x0, inputs, dt) -> np.ndarray:
-    """States after each held input, by SciPy."""
-    states = [np.asarray(x0, dtype=float)]
-    for held in inputs:
-        ends = solve_ivp(
-            lambda t, x, u=held: [x[1], -9 * math.sin(x[0]) - 0.3 * x[1] + 2 * u],
-            (0, dt), states[-1], rtol=1e-11, atol=1e-12,
-        )  # fmt: skip
-        states.append(ends.y[:, -1])
-    return np.array(states)
-
-
 def test_substeps_of_predictions_and_simulations_approach_scipy_by_fourth_order():
     model, inputs = swing(), [0.5, -1.0, 0.8]
     x0, u = torch.tensor([[0.8, 0.5]], dtype=torch.float64), torch.tensor(inputs, dtype=torch.float64)
-    exact = solved([0.8, 0.5], inputs, 0.3)
+    rates = lambda _, x, u: [x[1], -9 * math.sin(x[0]) - 0.3 * x[1] + 2 * u]  # noqa: E731
+    exact = scipy_motion(rates, [0.8, 0.5], inputs, 0.3, 1e-11, 1e-12)
     errors = []
     for substeps in (1, 2, 4, 32):
         with torch.no_grad():
