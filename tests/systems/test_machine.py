@@ -7,11 +7,10 @@ import subprocess
 import sys
 import tempfile
 import threading
-from dataclasses import replace
 
 import pytest
 import torch
-from one_period import flight, one_period
+from one_period import one_period
 
 from dynasindy.systems import compiler as compiling
 from dynasindy.systems.compiler import compile_library, compiler, load_library
@@ -20,46 +19,6 @@ from dynasindy.systems.steps import Stops
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 DECAY = Program(1, 1, (("v0", "k[0] * x[0]"),), ("u[0] - v0",), (2.0,))
-SPRING = Program(2, 1, (), ("x[1]", "k[0] * u[0] - 4.0 * x[0]"), (3.0,))
-
-
-@pytest.mark.parametrize(("dtype", "close"), [(torch.float32, 2e-6), (torch.float64, 1e-9)])
-def test_known_solutions(dtype, close):
-    x, u = torch.tensor([[1.0], [0.0], [-3.0]], dtype=dtype), torch.tensor([[0.0], [1.0], [0.5]], dtype=dtype)
-    decay = Machine(DECAY, dtype)
-    samples, touched = one_period(decay, x, u, 0.5, 100)
-    wanted = 0.5 * u + (x - 0.5 * u) * torch.exp(torch.tensor(-1.0, dtype=dtype))
-    torch.testing.assert_close(samples[:, -1], wanted, rtol=close, atol=close)
-    assert samples.shape == (3, 100, 1) and not touched.any()
-    a, b = decay.sensitivities(x, u, 0.5, 100)
-    torch.testing.assert_close(a, torch.full_like(a, 0.36787944117144233), rtol=close, atol=close)
-    torch.testing.assert_close(b, torch.full_like(b, 0.5 * (1 - 0.36787944117144233)), rtol=close, atol=close)
-    angle = torch.tensor(2 * 0.3, dtype=dtype)  # of a spring of frequency 2 rad/s
-    x, u = torch.randn(19, 2).to(dtype), torch.randn(19, 1).to(dtype)
-    a, b = Machine(SPRING, dtype).sensitivities(x, u, 0.3, 50)
-    c, s = angle.cos(), angle.sin()
-    wanted = torch.stack([torch.stack([c, s / 2]), torch.stack([-2 * s, c])])
-    torch.testing.assert_close(a, wanted.expand_as(a), rtol=0, atol=close)
-    torch.testing.assert_close(
-        b, torch.stack([0.75 * (1 - c), 1.5 * s]).expand(19, -1).unsqueeze(-1), rtol=0, atol=close
-    )
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("rows", [(), (1,), (37,), (2, 3)])
-@pytest.mark.parametrize("step", [None, 0.05])
-def test_a_flight_is_its_periods_one_by_one(dtype, rows, step):
-    wall, code = Stops((0,), (-1,), (-0.3,), (0.3,)), Machine(replace(SPRING, step=step), dtype)
-    rng = torch.Generator().manual_seed(1)
-    x = torch.rand(*rows, 2, generator=rng).to(dtype) - 0.5
-    u = torch.rand(60, *rows, 1, generator=rng).to(dtype) * 8 - 4
-    samples, touched = flight(code, x, u, 0.1, 2, wall)
-    assert samples.shape == (60, *rows, 2, 2) and touched.shape == (60, *rows)
-    for k in range(60):
-        wanted, hit = one_period(code, x, u[k], 0.1, 2, wall)
-        assert torch.equal(samples[k], wanted) and torch.equal(touched[k], hit)
-        x = wanted[..., -1, :]
-    assert touched.any() and not touched.all()
 
 
 def test_a_program_is_compiled_once_whatever_its_constants(monkeypatch):
