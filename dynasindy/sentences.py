@@ -549,14 +549,14 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "fit.library_cut": "of the {whole} functions of library {library} {kept} were taken, the simplest ones and those "
     "that explain most, as {samples} samples tell no more; log longer, or name the functions that move the plant",
     "fit.shape": "the number in {function} stayed at its first guess {guess:g}: the data hardly determine it",
-    "fit.candidates": "{count:the one candidate predicts|of # candidates this one predicts best} up to {seconds:g} s "
-    "ahead in parts of the training data that the fit had not seen: {what}",
+    "fit.candidates": "{count:the one model that was tried predicts|of # models tried this one predicts best} up "
+    "to {seconds:g} s ahead in parts of the training data that the fit had not seen: {what}",
     "fit.added_rates": "no sensor sees {states:and}, by which the model predicts better; {known:plant.known} leaves "
     "rates out",
     "fit.hidden_states": "no sensor sees {states:and}, states of a linear model that are estimated from past samples; "
     "with them the model predicts better",
     "fit.behind": "{state} up to {seconds:time} ahead was predicted {factor:.3g} times as well by the best simple "
-    "model, of past samples (ARX) or the last value held, in data kept back",
+    "model, of past samples (ARX) or the last value held, in parts of the training data that the fit had not seen",
     "fit.budget": "the search ended after {seconds:.0f} s of computing{stopped:?(it was stopped)}; the best model "
     "until then was kept. For a longer one give more <world_model.refinement.seconds>",
     # the model

@@ -93,7 +93,9 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
         say(next_steps(*flown, *(run_steps(folder, "check", "export") if written else ())))
     elif not swept:
         lacking, words = "model.unexplained" in [f["code"] for f in metrics["findings"]], job.overrides.task
-        say(improvements(folder, words, recipe.train.episodes, written, metrics["imagined_error"], lacking))
+        missed = metrics["imagined_error"] or 0.0
+        longer = f"plans longer: in the model, too, targets are missed by {100 * missed:.2g} %"
+        say(improvements(folder, words, recipe.train.episodes, written, longer * (missed > ACCEPTABLE_ERROR), lacking))
     good = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve
     return good and (controlled or not cfg.evaluation.get("must_control"))
 
@@ -103,29 +105,27 @@ def improvements(
     words: Sequence[str],
     episodes: int | None = None,
     checked: bool = True,
-    imagined: float | None = None,
+    longer: str = "",
     lacking: bool = False,
 ) -> str:
     """Return what helps where the plant is not controlled: where the loop is weak, and more or better data.
 
-    A plan from a log has no real `episodes`; `imagined` is the error at the end of imagined ones [target ranges]. Of a
-    model that is `lacking` something a check tells nothing, and more episodes mend none.
+    A plan from a log has no real `episodes`; `longer` is what a longer plan does, if it may help. Of a model that is
+    `lacking` something a check tells nothing, and more episodes mend none.
     """
     steps, resumed = [], any(word.startswith("resume=") for word in words)
     if checked and not lacking:
         steps.append(command_line("check", [f"run={run}"], "tells at which targets the loop is weak, and how"))
-    if episodes is not None and not resumed and not lacking:
-        key, value, does = "train.episodes", max(3, 2 * episodes), "flies more episodes, whose data mend the model"
-        if imagined is not None and imagined > ACCEPTABLE_ERROR:  # where the model is not what fails
-            key, value = "planning.updates", 3000
-            does = f"plans longer: in the model, too, targets are missed by {100 * imagined:.2g} %"
+    if (longer or episodes is not None) and not resumed and not lacking:
+        key, value = ("planning.updates", 3000) if longer else ("train.episodes", max(3, 2 * (episodes or 0)))
+        does = longer or "flies more episodes, whose data mend the model"
         kept = [word for word in words if not re.fullmatch("experiment=.*smoke", word)]  # which learns too little
         steps.append(command_line("train", [*without(kept, key, "folder", "finish"), f"{key}={value}"], does))
-    if (lacking and not resumed) or (episodes is None and any(word.startswith("data.path=") for word in words)):
+    logged = episodes is None and not longer and any(word.startswith("data.path=") for word in words)
+    if logged or (lacking and not resumed):
         identifying = ["system", "data", "plant", "world_model", "refinement", "source", "longest_delay", "threads"]
         own = without(words, *identifying)
-        lacks = "the log lacks: what to record, or which functions"
-        lacks = lacks if episodes is None else "the model lacks, with which functions in plant.library"
+        lacks = "the log lacks: what to record, or which functions" if logged else "the model lacks in plant.library"
         steps.append(command_line("identify", [word for word in words if word not in own], f"tells what {lacks}"))
     return next_steps(*steps)
 
@@ -229,8 +229,9 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
         draw_evaluation(flown, figures, controller_name("gradient"), tuple(cfg.formats), prediction.place)
     say(log_report(model, prediction), *lines(thin), f"Controller: {folder / NAME}", *model.signature.own_inputs())
     if not swept:
-        steps, doubted = run_steps(folder, "check", "export"), bool(prediction.doubts)
-        say(next_steps(*steps) if prediction.controlled else improvements(folder, words, lacking=doubted))
+        longer = "plans longer" * ("forecast.longer_plan" in [found.code for found in prediction.findings])
+        helps = improvements(folder, words, longer=longer, lacking=bool(prediction.doubts))
+        say(next_steps(*run_steps(folder, "check", "export")) if prediction.controlled else helps)
     return prediction.controlled or not cfg.evaluation.get("must_control")
 
 

@@ -164,8 +164,8 @@ def check(cfg: DictConfig, file: str = "", plugins: Sequence[str] = ()) -> None:
     if isinstance(raw.get("system"), dict) and raw["system"].keys() & {"system", "plant"}:
         raise ValueError("the file of the plant lacks its header: let '# @package _global_' be its first line")
     if not file:  # settings of a plant that nothing reads are refused; what a run read is all that its file holds
-        conf = " ".join(file.read_text() for file in CONF.rglob("*.yaml"))
-        read = {"plant.functions", "plant.libraries", *re.findall(r"\bplant(?:\.\w+)+", conf + repr(raw))}
+        conf = repr(raw) + " ".join(file.read_text() for file in CONF.rglob("*.yaml"))
+        read = {"plant.functions", "plant.libraries", *re.findall(r"\bplant(?:\.\w+)+", conf)}
         groups = dict(nodes({"plant": raw.get("plant")}))
         for group in ("plant", "plant.signals"):
             below = [key.removeprefix(f"{group}.") for key in read if key.startswith(f"{group}.")]

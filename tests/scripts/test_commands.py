@@ -380,8 +380,10 @@ def test_a_plant_that_is_not_controlled_is_offered_a_look_and_more_episodes_but_
         tried = improvements("a", ["system=xi", smoke, "train.episodes=2", "seed=3"], 2).split("\n")
         assert read(tried[2])[2:] == ["system=xi", "seed=3", "train.episodes=4"]
     assert improvements("a", ["resume=a"], 2).count("\n") == 1  # a run that goes on takes no other settings
-    (_, more) = improvements("a", ["system=xi"], 1, checked=False, imagined=0.02).split("\n")
+    (_, more) = improvements("a", ["system=xi"], 1, checked=False, longer="plans longer").split("\n")
     assert "system=xi planning.updates=" in more and "train.episodes" not in more  # the model is not what fails
+    (_, _, more) = improvements("a", ["data.path=log.csv"], longer="plans longer").split("\n")
+    assert "planning.updates=" in more and "identify" not in more
     (_, more) = improvements("a", [], 1, checked=False).split("\n")
     assert read(more)[2:] == ["train.episodes=3"]
 
