@@ -6,7 +6,6 @@ import numpy as np
 import pysindy
 import pytest
 import torch
-from plants import scipy_motion
 
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.named_libraries import (
@@ -79,46 +78,6 @@ def test_libraries_are_built_from_words_builders_and_libraries():
     assert torch.allclose(words(x, u), torch.stack(expected, -1))
     assert build_library(words, Xi().signature) is words
     assert len(build_library(lambda s: polynomial(s, 1), Xi().signature)) == 9
-
-
-AXIS = Signature(("a", "w"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
-MOTOR, SPRING, VISCOUS = 8.0, 2.5, 0.6
-COULOMB, EXTRA = {1: 1.5, -1: 0.9}, {1: 1.0, -1: 0.5}
-"""Dry friction that turns one way and the other, and what sticking adds to it [rad/s^2]."""
-WIDTH, SLIP = 30.0, 4.0
-
-
-def axis(t: float, z: np.ndarray, u: float) -> list[float]:
-    """An axis against a spring, written direction by direction."""
-    way = 1 if z[1] > 0 else -1
-    dry = (COULOMB[way] + EXTRA[way] * math.exp(-((SLIP * z[1]) ** 2))) * math.tanh(WIDTH * z[1])
-    return [z[1], MOTOR * u - SPRING * z[0] - VISCOUS * z[1] - dry]
-
-
-def log_of_an_axis(n: int = 1500, dt: float = 0.01) -> Transitions:
-    """Angle and rate under a sum of sines, sampled and held, by scipy."""
-    t = dt * np.arange(n)
-    u = 0.25 * sum(np.sin(2 * np.pi * f * t + phase) for f, phase in ((0.2, 0), (0.5, 1), (0.9, 2), (1.7, 4)))
-    x = scipy_motion(axis, [0, 0], u, dt)
-    return Transitions.from_trajectory(torch.from_numpy(x), torch.from_numpy(u)[:, None], dt)
-
-
-def test_friction_that_differs_by_direction_is_identified_from_a_log():
-    refinement = Refinement("one_step", rounds=4)
-    dry = ["tanh(~20 w)", "bell(~4 w) tanh(~20 w)"]
-    words = ["1", "a", "w", "u", *dry, *(f"sign(w) {each}" for each in dry)]
-    model = SindyModel(AXIS, words, Regression("bic"), refinement, known={"a": "w"})
-    model.fit(log_of_an_axis())
-    width, slip = (shape.frequency for shape in model.library.shapes)
-    assert (width, slip) == (pytest.approx(WIDTH, rel=1e-3), pytest.approx(SLIP, rel=1e-3))
-    found = dict(zip(model.library.names, model.coefficients[:, 1].tolist(), strict=True))
-    dry, stuck = (f"tanh({width:g} w)", f"exp(-({slip:g} w)^2) tanh({width:g} w)")
-    assert found[dry] + found[f"sign(w) {dry}"] == pytest.approx(-COULOMB[1], rel=1e-3)
-    assert found[dry] - found[f"sign(w) {dry}"] == pytest.approx(-COULOMB[-1], rel=1e-3)
-    assert found[stuck] + found[f"sign(w) {stuck}"] == pytest.approx(-EXTRA[1], rel=2e-3)
-    assert found[stuck] - found[f"sign(w) {stuck}"] == pytest.approx(-EXTRA[-1], rel=2e-3)
-    linear = {"a": -SPRING, "w": -VISCOUS, "u": MOTOR, "1": 0.0}
-    assert {name: found[name] for name in linear} == pytest.approx(linear, rel=1e-3, abs=1e-3)
 
 
 def test_a_dead_zone_with_two_edges_is_identified_from_a_noisy_log():
