@@ -17,7 +17,7 @@ around the best of them (Rubinstein 1999).
 | name      | symbol | equation                                                                              |
 | --------- | ------ | ------------------------------------------------------------------------------------- |
 | signal    | u_k    | straight lines through knots `KNOT` periods apart, within the limits of inputs         |
-| objective | J      | sum_k w_k reward_k, w_k proportional to k^2: arriving counts, the way there hardly     |
+| objective | J      | -min_k ln v_k, v_k the regulator's value within the plant's limits: it need only catch |
 | redrawn   | m, s   | mean and deviation of the best `ELITE` of the knots, s no less than `LEAST`            |
 """
 
@@ -30,7 +30,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from dynasindy.envs import ControlEnv, Tracking
+from dynasindy.envs import ControlEnv
 from dynasindy.planning.regulator import Regulator
 from dynasindy.planning.rollout import Network, Rows, Window, imagine, sensitivities
 from dynasindy.progress import track
@@ -43,10 +43,8 @@ KNOT = 4
 """Control periods between two knots of a signal."""
 LEAST, LARGEST = 0.03, 1.5
 """Least deviation of the knots, and their largest size."""
-FAR = 20.0
-"""Ranges of a state beyond which a signal counts as none."""
-OUTSIDE = 1e3
-"""Cost of each control period outside of the limits of the plant, beyond the highest within them."""
+LEAST_VALUE = 1e-6
+"""Value of the regulator that is as good as none."""
 STARTS = 24
 """Starts from which ways are searched."""
 LENGTHS = (20, 40, 60, 80, 120, 160)
@@ -142,9 +140,9 @@ def _find_caught_trajectories(
         left = [i for i in range(len(rows.x)) if i not in found]
         if not left:
             break
-        ways = _search(env, rows.x[left], rows.params[left], periods, rng)
+        ways = _search(env, regulator, rows.x[left], reference[left], periods, rng)
         imagined += len(left) * POPULATION * ROUNDS * periods
-        rank = regulator.value(ways.states, reference[left]).argsort(0)
+        rank = _values(regulator, ways.states, reference[left]).argsort(0)
         for k in rank[:TRIED]:
             here = Rows.start(ways.states[k, torch.arange(len(left))], rows.params[left], rows.held.shape[1])
             for j, end in _catch(env, regulator, here).items():
@@ -211,16 +209,19 @@ def _along(
 
 
 @torch.no_grad()
-def _search(env: ControlEnv, x: Tensor, params: Tensor, periods: int, rng: torch.Generator) -> _Trajectory:
-    """Return the best ways of so many periods from starts `(n, n_x)`, by the task's reward, with n behind time."""
-    starts, repeated = x.repeat_interleave(POPULATION, 0), params.repeat_interleave(POPULATION, 0)
+def _search(
+    env: ControlEnv, regulator: Regulator, x: Tensor, reference: Tensor, periods: int, rng: torch.Generator
+) -> _Trajectory:
+    """Return the ways of so many periods from starts `(n, n_x)` that come nearest to rest, with n behind time."""
+    starts, repeated = x.repeat_interleave(POPULATION, 0), reference.repeat_interleave(POPULATION, 0)
 
-    def _earned(drawn: Tensor) -> Tensor:
-        return _objective(env, _roll(env, starts, signal(drawn, periods, env.task.limit)), repeated)
+    def _nearest(drawn: Tensor) -> Tensor:
+        states = _roll(env, starts, signal(drawn, periods, env.task.limit))
+        return -_values(regulator, states, repeated).amin(0)
 
     rounds = track("search for ways from afar", range(ROUNDS), ROUNDS, "rounds")
     knots = torch.zeros(len(x), max(2, periods // KNOT), env.system.signature.n_u)
-    inputs = signal(cross_entropy(_earned, knots, POPULATION, rounds, LARGEST, rng), periods, env.task.limit)
+    inputs = signal(cross_entropy(_nearest, knots, POPULATION, rounds, LARGEST, rng), periods, env.task.limit)
     return _Trajectory(_roll(env, x, inputs), inputs)
 
 
@@ -275,21 +276,8 @@ def _roll(env: ControlEnv, x: Tensor, inputs: Tensor) -> Tensor:
     return torch.cat([x.unsqueeze(0), samples[..., -1, :]])
 
 
-def _objective(env: ControlEnv, states: Tensor, params: Tensor) -> Tensor:
-    """Return what ways earn, their ends above all, `(n,)`; outside of the plant's limits they pay."""
-    periods, task = len(states) - 1, env.task
-    assert isinstance(task, Tracking)
-    times = (env.dt * torch.arange(1, periods + 1, dtype=states.dtype)).reshape(-1, 1, 1)
-    free = torch.zeros(states[1:].shape[:-1], dtype=torch.bool)
-    reward = task.reward(states[:-1], states[1:], params.expand(periods, *params.shape), times, free)
-    low, high = task.bounds.to(states)
-    scale = torch.tensor(task.signature.x_scale)
-    outside = ~((states[1:] >= low) & (states[1:] <= high)).all(-1)
-    lost = (~(states[1:].abs() <= FAR * scale + states[0].abs()).all(-1)).int().cummax(0).values.bool()
-    sound = ~(outside | lost)
-    # Whatever is paid within the limits, leaving them costs more, and running away more still, to the end.
-    worst = reward[sound].amin().clamp_max(0.0) if bool(sound.any()) else reward.new_zeros(())
-    reward = torch.where(outside, worst - OUTSIDE, reward)
-    reward = torch.where(lost, 2 * worst - FAR * OUTSIDE, reward)
-    weights = torch.arange(1, periods + 1, dtype=states.dtype).square()
-    return ((weights / weights.sum()).unsqueeze(-1) * reward).sum(0)
+def _values(regulator: Regulator, states: Tensor, reference: Tensor) -> Tensor:
+    """Return the logarithm of the regulator's value along ways, `(T + 1, n)`, infinite once the limits are left."""
+    low, high = regulator.task.bounds.to(states)
+    inside = ((states >= low) & (states <= high)).all(-1).int().cummin(0).values.bool()
+    return regulator.value(states, reference).clamp_min(LEAST_VALUE).log().where(inside, torch.inf)

@@ -7,6 +7,7 @@ import pytest
 import torch
 from plants import Upright
 from scipy.integrate import solve_ivp
+from scipy.linalg import solve_discrete_are
 
 from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward
 from dynasindy.planning import trajectory_library
@@ -14,16 +15,14 @@ from dynasindy.planning.plan_settings import find_task_equilibria
 from dynasindy.planning.regulator import Regulator
 from dynasindy.planning.rollout import Rows
 from dynasindy.planning.trajectory_library import (
-    FAR,
     NEARNESS,
-    OUTSIDE,
     WEIGHTS,
     TrajectoryLibrary,
     _along,
     _find_caught_trajectories,
-    _objective,
     _roll,
     _search,
+    _values,
     cross_entropy,
     signal,
 )
@@ -176,11 +175,6 @@ def mass(target=0.0, **kwargs):
     return ControlEnv(plant, task, 0.1, 1)
 
 
-def rows(env, x):
-    params = env.task.sample(torch.Size((len(x),)), torch.Generator().manual_seed(0))
-    return torch.tensor(x), params
-
-
 def test_a_signal_runs_straight_between_its_knots_and_stays_within_the_inputs():
     knots = torch.tensor([[[0.0], [1.5], [-0.5]]])
     # Five periods through three knots: knots at periods 0, 2 and 4.
@@ -204,33 +198,29 @@ def test_cross_entropy_finds_the_top_of_a_hill_for_each_start_and_no_less_than_i
     assert (torch.stack(seen).diff(dim=0) >= 0).all()
 
 
-def test_the_end_of_a_way_counts_by_the_square_of_its_time():
-    """Cost 4 e^2 / (0.02 + e): periods at errors of 1, 0 and 0.5 m have weights 1, 4 and 9 of 14."""
-    env = mass()
-    states = torch.tensor([[[9.0, 0.0]], [[1.0, 0.0]], [[0.0, 0.0]], [[0.5, 0.0]]])
-    _, params = rows(env, [[9.0, 0.0]])
-    wanted = -(1 * 4 * 1.0 / 1.02 + 9 * 4 * 0.25 / 0.52) / 14
-    assert _objective(env, states, params).item() == pytest.approx(wanted, rel=1e-5)
-
-
-def test_a_way_pays_for_leaving_the_limits_of_the_plant_and_for_running_away():
+def test_a_way_counts_where_it_is_nearest_to_rest_by_the_regulators_value_until_it_leaves_the_limits():
+    """The value is x' P x; P solves the discrete Riccati equation of the mass, here by SciPy."""
     env = mass(bounds={"p": 2.0})
-    _, params = rows(env, [[0.0, 0.0]])
-    inside = torch.tensor([[[0.0, 0.0]], [[-2.0, 0.0]], [[2.0, 0.0]], [[0.0, 0.0]]])  # as at stops that are the limits
-    paid, gone = _objective(env, inside, params), FAR * OUTSIDE
-    for beyond, cost in ((2.1, OUTSIDE / 14), (-2.1, OUTSIDE / 14), (math.nan, gone), (math.inf, gone)):
-        outside = inside.clone()
-        outside[1, 0, 0] = beyond  # weight 1 of 1 + 4 + 9; what ran away has not come back
-        assert (paid - _objective(env, outside, params)).item() == pytest.approx(cost, rel=0.01)
+    regulator = Regulator.of(env, find_task_equilibria(env), *WEIGHTS)
+    a, b = np.array([[1, 0.1], [0, 1.0]]), np.array([[0.005], [0.1]])
+    found = solve_discrete_are(a, b, np.diag([10.0, 1.0]), np.eye(1))
+    ways = torch.tensor([[[1.0, 0.0], [0.5, -1.0], [2.1, 0.0], [0.0, 0.0]], [[-2.0, 0.5]] * 3 + [[math.nan, 0.0]]])
+    told = _values(regulator, ways.transpose(0, 1), torch.zeros(2, 1)).mT
+    wanted = [
+        [math.log(np.array(x) @ found @ np.array(x)) for x in way] for way in ([[1, 0], [0.5, -1]], [[-2, 0.5]] * 3)
+    ]
+    assert told[0, :2].tolist() == pytest.approx(wanted[0], rel=1e-3) and told[0, 2:].isinf().all()
+    assert told[1, :3].tolist() == pytest.approx(wanted[1], rel=1e-3) and told[1, 3] == math.inf
 
 
 def test_the_search_finds_the_quick_way_home():
     """From 1 m at rest: full push one way, then the other, takes 2 sqrt(1 / 1) = 2 s, which is 20 periods."""
     env = mass()
-    x, params = rows(env, [[1.0, 0.0], [-1.0, 0.0]])
-    ways = _search(env, x, params, 32, torch.Generator().manual_seed(0))
-    assert ways.states.shape == (33, 2, 2) and ways.inputs.shape == (32, 2, 1)
+    regulator = Regulator.of(env, find_task_equilibria(env), *WEIGHTS)
+    x = torch.tensor([[1.0, 0.0], [-1.0, 0.0]])
+    ways = _search(env, regulator, x, torch.zeros(2, 1), 22, torch.Generator().manual_seed(0))
+    assert ways.states.shape == (23, 2, 2) and ways.inputs.shape == (22, 2, 1)
     torch.testing.assert_close(ways.states, _roll(env, ways.states[0], ways.inputs))
-    assert ways.states[22:].abs().max() < 0.1
+    assert ways.states.abs().amax(-1).amin(0).max() < 0.1 and ways.states[:15].abs().amax(-1).min() > 0.1
     sign = torch.tensor([[1.0], [-1.0]])
     assert (sign * ways.inputs[2] < -0.5).all() and (sign * ways.inputs[15] > 0.3).all()
