@@ -94,11 +94,20 @@ class TrajectoryLibrary:
             return None, 0
         rows = Rows.draw(env, STARTS, rng)
         caught, imagined = _find_caught_trajectories(env, regulator, rows, rng)
-        if not caught:
-            return None, imagined
         reference = env.task.reference(rows.params, rows.t).float()
-        parts = [_along(env, regulator, way, reference[i]) for i, way in caught.items()]
-        return cls(regulator, *(torch.cat(part) for part in zip(*parts, strict=True))), imagined
+        parts = {i: _along(env, regulator, way, reference[i]) for i, way in caught.items()}
+        # As few ways as bring all starts home: a policy learns one sooner than many, between which it has to change.
+        law, most, periods = None, 0, WATCHED + max([len(part[1]) for part in parts.values()], default=0)
+        chosen: list[int] = []
+        while most < len(rows.x) and (left := sorted(parts.keys() - {*chosen}, key=lambda i: len(parts[i][1]))):
+            laws = {
+                i: cls(regulator, *map(torch.cat, zip(*(parts[k] for k in (*chosen, i)), strict=True))) for i in left
+            }
+            home = {i: int(at_rest(env, each, regulator, rows, periods).sum()) for i, each in laws.items()}
+            if home[best := max(home, key=home.__getitem__)] <= most:
+                break
+            law, most, chosen = laws[best], home[best], [*chosen, best]
+        return law, imagined
 
     def __call__(self, observation: Tensor) -> Tensor:
         """Return inputs `(*batch, n_u)` for observations `(*batch, n_o)`."""
