@@ -283,7 +283,7 @@ class GradientPlanning(Planner):
             self.network.load_state_dict(untouched)
             raise
         for k in range(0 if "updates" in self.given else ROUNDS):
-            if rests is None or pace.afar or (self.steady_state_error() or 0.0) <= ACCEPTABLE_ERROR:
+            if rests is None or (self.steady_state_error() or 0.0) <= ACCEPTABLE_ERROR:
                 break
             # The law of the model, where that is better than what the gradient has found and nobody rules it out.
             if not held and self.given.get("warm_start", True):

@@ -51,6 +51,8 @@ LENGTHS = (20, 40, 60, 80, 120, 160)
 """Lengths of the ways that are tried, the shorter first [control periods]."""
 WATCHED, STILL, NEAR = 100, 20, 0.05
 """A plant is caught if the regulator has it within 5 % of its ranges in the last 20 of 100 control periods."""
+TREMBLE = 0.2
+"""Deviation of the errors of inputs that a way is to bear."""
 TRIED = 5
 """Points of a way at which the regulator is tried, the nearest to the rest first."""
 WEIGHTS = 10.0, 1.0
@@ -96,18 +98,32 @@ class TrajectoryLibrary:
         caught, imagined = _find_caught_trajectories(env, regulator, rows, rng)
         reference = env.task.reference(rows.params, rows.t).float()
         parts = {i: _along(env, regulator, way, reference[i]) for i, way in caught.items()}
-        # As few ways as bring all starts home: a policy learns one sooner than many, between which it has to change.
-        law, most, periods = None, 0, WATCHED + max([len(part[1]) for part in parts.values()], default=0)
+        # As few ways as bring all starts home, those that do so though inputs err: between many a policy has to change,
+        # and its inputs are never quite those that it imitates.
+        law, most, periods = None, (0, 0), max([len(part[1]) for part in parts.values()], default=0)
         chosen: list[int] = []
-        while most < len(rows.x) and (left := sorted(parts.keys() - {*chosen}, key=lambda i: len(parts[i][1]))):
+        while most[0] < len(rows.x) and (left := parts.keys() - {*chosen}):
             laws = {
                 i: cls(regulator, *map(torch.cat, zip(*(parts[k] for k in (*chosen, i)), strict=True))) for i in left
             }
-            home = {i: int(at_rest(env, each, regulator, rows, periods).sum()) for i, each in laws.items()}
-            if home[best := max(home, key=home.__getitem__)] <= most:
+            home = {i: each._brought_home(env, rows, periods, rng) for i, each in laws.items()}
+            if home[best := max(home, key=home.__getitem__)][0] <= most[0]:
                 break
             law, most, chosen = laws[best], home[best], [*chosen, best]
         return law, imagined
+
+    def _brought_home(self, env: ControlEnv, rows: Rows, periods: int, rng: torch.Generator) -> tuple[int, int]:
+        """Return how many rows the law brings to rest, and how many where its inputs err for so many periods."""
+        erring = iter(range(periods))
+
+        def _trembling(observation: Tensor) -> Tensor:
+            u = self(observation)
+            errs = next(erring, None) is not None
+            return self.regulator.task.limit(u + TREMBLE * torch.randn(u.shape, generator=rng)) if errs else u
+
+        laws: tuple[Network, ...] = self, _trembling
+        exact, rough = (at_rest(env, law, self.regulator, rows, periods + WATCHED).sum() for law in laws)
+        return int(exact), int(rough)
 
     def __call__(self, observation: Tensor) -> Tensor:
         """Return inputs `(*batch, n_u)` for observations `(*batch, n_o)`."""
