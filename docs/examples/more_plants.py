@@ -52,9 +52,9 @@ class BallOnBeam(System):
 class Furuta(System):
     """A rotary pendulum, upright at alpha = 0, on an arm that a motor of up to 10 V turns."""
 
-    def __init__(self) -> None:
+    def __init__(self, ranges: tuple[float, ...] = (1.0, 0.2, 3.0, 3.0)) -> None:
         names, units = ("theta", "alpha", "w", "q"), ("rad", "rad", "rad/s", "rad/s")
-        super().__init__(Signature(names, units, ("u",), (1.0, 0.2, 3.0, 3.0)))
+        super().__init__(Signature(names, units, ("u",), ranges))
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, 4)`: M (w', q') = forces, the mass matrix M with the pendulum's angle in it."""

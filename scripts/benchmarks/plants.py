@@ -19,7 +19,10 @@ UNTUNED = (
 MEASURED = ("furuta", "balancer", "cart_pole", "ball_on_beam", "quadrotor")
 """Unstable plants of docs/examples whose files say what a bench measures: places and angles in steps, no rates."""
 PLANTS = {
-    **{name: [f"system={name}"] for name in ("van_der_pol", "cart_pole", "quadrotor", "tanks", "swing_up")},
+    **{
+        name: [f"system={name}"]
+        for name in ("van_der_pol", "cart_pole", "quadrotor", "tanks", "swing_up", "furuta_swing_up")
+    },
     "pendulum_v1": ["system=gymnasium", "env.id=Pendulum-v1", "train.episodes=0"],
     "pendulum_own": ["system=gymnasium", "env.id=Pendulum-v1", "task=own", "train.episodes=0"],
     **{name: [f"system={name}", "train.episodes=0"] for name in ("inverted_pendulum", "double_pendulum", "reacher")},
