@@ -183,8 +183,10 @@ def replace_file(path: str | Path) -> Iterator[BinaryIO]:
     if path.exists() and not (path.is_file() or path.is_dir()):  # of a folder the system says so
         raise FileError(f"{path} is no file, and nothing can take its place; give another name")
     path.parent.mkdir(parents=True, exist_ok=True)
+    mine = False
     try:
         with temporary.open("xb") as file:  # a file of its own, not one that stands there, nor where a link leads
+            mine = True
             yield file
             # What is not on the disk when it is renamed may be an empty file after a power cut.
             file.flush()
@@ -197,7 +199,8 @@ def replace_file(path: str | Path) -> Iterator[BinaryIO]:
             finally:
                 os.close(descriptor)
     except BaseException as error:
-        temporary.unlink(missing_ok=True)
+        if mine:
+            temporary.unlink(missing_ok=True)
         # A full disk does not say whose file found no room.
         if isinstance(error, OSError) and error.filename in (None, str(temporary)):
             error.filename = str(path)

@@ -38,7 +38,8 @@ def main(cfg: Any) -> None:
     guard.require(wiring)
     # Of an unknown plant the logs tell which rates are missing.
     known = {} if system.known and plant.get("known") is None else plant.get("known")
-    knowledge = Knowledge(plant["library"], known, targets, cfg.longest_delay, dict(cfg.planner or {}), system.known)
+    library, planner = plant.get("library", "auto"), dict(cfg.planner or {})
+    knowledge = Knowledge(library, known, targets, cfg.longest_delay, planner, system.known)
     wanted = knowledge.within(cfg.targets)
     given = load(cfg.controller) if cfg.controller else None
     if given is None:

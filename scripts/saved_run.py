@@ -95,7 +95,8 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
         lacking, words = "model.unexplained" in [f["code"] for f in metrics["findings"]], job.overrides.task
         missed = metrics["imagined_error"] or 0.0
         longer = f"plans longer: in the model, too, targets are missed by {100 * missed:.2g} %"
-        say(improvements(folder, words, recipe.train.episodes, written, longer * (missed > ACCEPTABLE_ERROR), lacking))
+        longer = longer if missed > ACCEPTABLE_ERROR else ""
+        say(improvements(folder, words, recipe.train.episodes, written, longer, lacking))
     good = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve
     return good and (controlled or not cfg.evaluation.get("must_control"))
 
@@ -116,7 +117,8 @@ def improvements(
     steps, resumed = [], any(word.startswith("resume=") for word in words)
     if checked and not lacking:
         steps.append(command_line("check", [f"run={run}"], "tells at which targets the loop is weak, and how"))
-    if (longer or episodes is not None) and not resumed and not lacking:
+    known = resumed or lacking or (longer and any(word.startswith("planning.updates=") for word in words))
+    if (longer or episodes is not None) and not known:
         key, value = ("planning.updates", 3000) if longer else ("train.episodes", max(3, 2 * (episodes or 0)))
         does = longer or "flies more episodes, whose data mend the model"
         kept = [word for word in words if not re.fullmatch("experiment=.*smoke", word)]  # which learns too little
@@ -125,7 +127,7 @@ def improvements(
     if logged or (lacking and not resumed):
         identifying = ["system", "data", "plant", "world_model", "refinement", "source", "longest_delay", "threads"]
         own = without(words, *identifying)
-        lacks = "the log lacks: what to record, or which functions" if logged else "the model lacks in plant.library"
+        lacks = "the log lacks: what to record, or which functions" if logged else "the model lacks, with its functions"
         steps.append(command_line("identify", [word for word in words if word not in own], f"tells what {lacks}"))
     return next_steps(*steps)
 
@@ -229,7 +231,7 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
         draw_evaluation(flown, figures, controller_name("gradient"), tuple(cfg.formats), prediction.place)
     say(log_report(model, prediction), *lines(thin), f"Controller: {folder / NAME}", *model.signature.own_inputs())
     if not swept:
-        longer = "plans longer" * ("forecast.longer_plan" in [found.code for found in prediction.findings])
+        longer = "plans longer" if "forecast.longer_plan" in [each.code for each in prediction.findings] else ""
         helps = improvements(folder, words, longer=longer, lacking=bool(prediction.doubts))
         say(next_steps(*run_steps(folder, "check", "export")) if prediction.controlled else helps)
     return prediction.controlled or not cfg.evaluation.get("must_control")

@@ -188,8 +188,8 @@ def check(cfg: DictConfig, file: str = "", plugins: Sequence[str] = ()) -> None:
         return
     except InterpolationResolutionError as error:
         lacking = re.search(r"^Interpolation key '(.+)' not found$", str(error), re.M)
-        name = lacking[1] if lacking else f"what {error.full_key} is taken from"
-        what = f"{name} is not given, or no group of keys; give it as conf/ does"
+        what = lacking[1] if lacking else f"a group of keys, from which {error.full_key} is taken,"
+        what = f"{what} is not given; give it as conf/ does"
         raise ValueError(f"{file}: {what}".removeprefix(": ")) from error
     except ValueError as error:
         raise ValueError(f"{file}: {error}".removeprefix(": ")) from error

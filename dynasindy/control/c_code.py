@@ -76,9 +76,8 @@ def _templates(packages: tuple[str, ...]) -> jinja2.Environment:
         keep_trailing_newline=True,
     )
     found.filters |= {"number": number, "comment": comment, "block": _block, "floats": _floats}
-    found.filters["bound"] = lambda value: number(
-        np.nan_to_num(value)
-    )  # an end that is not there is the largest number
+    # An end that is not there is the largest number.
+    found.filters["bound"] = lambda value: number(np.nan_to_num(value))
     found.filters["numbers"] = lambda values: ", ".join(map(number, values))
     return found
 

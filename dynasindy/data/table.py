@@ -284,7 +284,8 @@ def _numbers(cells: pd.Series) -> tuple[Array, dict[str, Any] | None, bool]:
     if cells.dtype.kind in "biuf":
         return cells.to_numpy(dtype=np.float64), None, False
     if cells.dtype.kind in "Mm":
-        return _since_1970(pd.to_datetime(cells, utc=True) if cells.dtype.kind == "M" else cells), None, True
+        dates = _since_1970(pd.to_datetime(cells, utc=True) if cells.dtype.kind == "M" else cells)
+        return dates, {"line": 0, "text": str(cells.iloc[0]), "count": len(cells)}, True
     text = cells.astype("string").str.strip()
     numbers = pd.to_numeric(text, errors="coerce").to_numpy(np.float64, na_value=np.nan)
     switched = text.str.lower().map(SWITCHED)

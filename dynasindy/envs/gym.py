@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
+from pydantic import Field
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Unbounded
@@ -25,8 +26,6 @@ from dynasindy.envs import RandomStep, Task, Tracking, TrackingReward
 from dynasindy.envs.control_env import ControlEnv
 from dynasindy.envs.drawing import Frame, draw
 from dynasindy.envs.task import TrackingMachine
-from dynasindy.limits import Positive
-from dynasindy.safe_io import checked
 from dynasindy.systems import Pendulum, Signature, System, Tras, Trms33, Xi
 from dynasindy.systems.steps import steps_of
 from dynasindy.text import duration_unit
@@ -193,7 +192,6 @@ class Foreign(System):
 
     known = False
 
-    @checked
     def __init__(
         self,
         id: str,  # noqa: A002 (Gymnasium's name)
@@ -205,8 +203,10 @@ class Foreign(System):
         observed: Sequence[str] | None = None,
         angles: Mapping[str, Sequence[str]] | None = None,
         rates: Mapping[str, str] | None = None,
-        repeat: Positive = 1,
+        repeat: Annotated[int, Field(ge=1, le=1000)] = 1,
     ) -> None:
+        if repeat < 1:
+            raise ValueError(f"repeat is {repeat}; give the steps of a control period, 1 or more")
         self.id, self.options, self.repeat = id, dict(options or {}), repeat
         copy = self.make(1)
         seen, acted = copy.observation_space, copy.action_space

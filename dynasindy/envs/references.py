@@ -18,6 +18,7 @@ from torch import Tensor
 from typing_extensions import TypedDict
 
 from dynasindy.limits import Count
+from dynasindy.sentences import setting
 
 N_PARAMS = 5
 """offset, amplitude [unit of the output], frequency [Hz], phase [rad], square (0 or 1)."""
@@ -116,8 +117,8 @@ class RandomStep(Reference):
         _finite("random step (low, high)", low, high)
         if not all(a <= b for a, b in zip(low, high, strict=True)):
             raise ValueError(
-                f"random step needs low <= high, got low={list(low)}, high={list(high)}; swap plant.low and "
-                "plant.high, or what is given in their place"
+                f"random step needs low <= high, got low={list(low)}, high={list(high)}; swap them "
+                f"({setting('plant.low')}, {setting('plant.high')})"
             )
         self.low, self.high = torch.tensor(list(low)), torch.tensor(list(high))
         self.n_r = len(low)

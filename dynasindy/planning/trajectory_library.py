@@ -304,5 +304,6 @@ def _roll(env: ControlEnv, x: Tensor, inputs: Tensor) -> Tensor:
 def _values(regulator: Regulator, states: Tensor, reference: Tensor) -> Tensor:
     """Return the logarithm of the regulator's value along ways, `(T + 1, n)`, infinite once the limits are left."""
     low, high = regulator.task.bounds.to(states)
-    inside = ((states >= low) & (states <= high)).all(-1).int().cummin(0).values.bool()
-    return regulator.value(states, reference).clamp_min(LEAST_VALUE).log().where(inside, torch.inf)
+    value = regulator.value(states, reference)
+    inside = ((states >= low) & (states <= high)).all(-1) & value.isfinite()  # what runs away has no value
+    return value.clamp_min(LEAST_VALUE).log().where(inside.int().cummin(0).values.bool(), torch.inf)

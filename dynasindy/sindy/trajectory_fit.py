@@ -302,8 +302,10 @@ def _finely(found: Estimate, free: Tensor, windows: Windows, price: float) -> tu
     wanted = substeps_for(turn, FINE if windows.descent.floor is None else FINEST)
     if wanted <= windows.substeps:
         return found, windows
-    windows = replace(windows, substeps=wanted)
-    return _descended(Flow.of(found, Parameters.where(support), windows), price)[0].estimate, windows
+    finer = replace(windows, substeps=wanted)
+    with suppress(RunsAway):  # what was found is no worse for it
+        return _descended(Flow.of(found, Parameters.where(support), finer), price)[0].estimate, finer
+    return found, windows
 
 
 def _joins(flow: Flow) -> Tensor:

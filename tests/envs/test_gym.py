@@ -207,6 +207,11 @@ def test_an_action_is_held_for_the_steps_of_a_control_period_and_paid_for_all_of
     assert stepped["own_reward"].flatten().tolist() == [2.0, 2.0, 2.0, 1.0]
     with pytest.raises(ValueError, match="repeat"):
         Foreign("tests/Short-v0", repeat=0)
+    pendulum = Foreign("Pendulum-v1", repeat=3)  # episodes of 200 steps of 0.05 s
+    assert pendulum.registered_steps == 66 and pendulum.period == pytest.approx(0.15)
+    copy = pendulum.make(2)
+    copy.reset(seed=0)
+    assert [copy.step(np.zeros(1, np.float32))[3] for _ in range(2)] == [False, True]
 
 
 class Grouped(Steps):

@@ -73,40 +73,27 @@ def test_a_pole_swings_up_and_stays_up(swing):
             assert abs(x[0]) < 0.01 and abs(x[1]) < 0.05
 
 
-def test_a_way_leads_on_from_where_the_regulator_catches_the_plant():
-    """A cart whose pole hangs, pushed by 8 m/s^2: caught half a radian from upright, and brought to the middle."""
+def test_a_way_from_where_the_regulator_catches_the_plant_leads_to_the_rest():
+    env, rests = setting(start=0.3)
+    regulator = Regulator.of(env, rests, *WEIGHTS)
+    rows = Rows.start(torch.tensor([[0.3, 0.0]]), env.task.sample(torch.Size((1,)), torch.Generator()), 1)
+    ways, imagined = _find_caught_trajectories(env, regulator, rows, torch.Generator().manual_seed(0))
+    assert imagined == 0 and ways[0].states[0].tolist() == pytest.approx([0.3, 0.0])
+    end = ways[0].states[-1].abs() / torch.tensor([math.pi, 8.0])
+    assert (end < 0.05).all() and len(ways[0].states) == len(ways[0].inputs) + 1
 
-    class Cart(System):
-        def __init__(self):
-            super().__init__(
-                Signature(("p", "theta", "v", "w"), ("m", "rad", "m/s", "rad/s"), ("u",), (1.0, 3.0, 3.0, 8.0))
-            )
 
-        def forward(self, x, u):
-            _, theta, v, w = x.unbind(-1)
-            push = 8.0 * u[..., 0]
-            return torch.stack((v, w, push, 15.0 * theta.sin() - 1.5 * push * theta.cos()), -1)
-
-    plant = Cart()
-    reward = TrackingReward((4.0,), error_shape="linear", bonus=0.0, width=0.02)
-    start = {"theta": [math.pi - 0.01, math.pi + 0.01]}
-    targets = RandomStep([0.0, 0.0], [0.0, 0.0])
-    task = Tracking(plant.signature, targets, ("p", "theta"), ("v", "w"), reward, 120, start=start, bounds={"p": 1.4})
-    env = ControlEnv(plant, task, 0.05, 1)
-    law, _ = TrajectoryLibrary.of(env, find_task_equilibria(env), torch.Generator().manual_seed(0))
-    x = np.array([0.0, math.pi, 0.0, 0.0])
-    for _ in range(160):
-        u = float(law(observed(env, torch.tensor(x[None], dtype=torch.float32)))[0, 0])
-        push = 8.0 * u
-        found = solve_ivp(
-            lambda _, y, a=push: [y[2], y[3], a, 15 * math.sin(y[1]) - 1.5 * a * math.cos(y[1])],
-            (0, 0.05),
-            x,
-            rtol=1e-9,
-        )
-        x = found.y[:, -1]
-        assert abs(x[0]) < 1.5
-    assert np.abs(x).max() < 0.05
+def test_of_two_ways_the_one_is_taken_that_bears_errors_of_its_inputs():
+    """Along one way the mass is held by feedback, along the other by a twentieth of that."""
+    env = mass()
+    regulator = Regulator.of(env, find_task_equilibria(env), *WEIGHTS)
+    begun = Rows.start(torch.tensor([[1.0, 0.0]] * 8), env.task.sample(torch.Size((8,)), torch.Generator()), 1)
+    way = _find_caught_trajectories(env, regulator, begun, torch.Generator())[0][0]
+    points, inputs, gains, values = _along(env, regulator, way, torch.zeros(1))
+    held = TrajectoryLibrary(regulator, points, inputs, gains, values)
+    loose = TrajectoryLibrary(regulator, points, inputs, 0.05 * gains, values)
+    found = [law._brought_home(env, begun, 40, torch.Generator().manual_seed(0)) for law in (held, loose)]
+    assert found[0] == (8, 8) and found[1][0] == 8 > found[1][1]
 
 
 def test_the_nearest_point_is_that_of_the_formula(swing):
@@ -211,6 +198,11 @@ def test_a_way_counts_where_it_is_nearest_to_rest_by_the_regulators_value_until_
     ]
     assert told[0, :2].tolist() == pytest.approx(wanted[0], rel=1e-3) and told[0, 2:].isinf().all()
     assert told[1, :3].tolist() == pytest.approx(wanted[1], rel=1e-3) and told[1, 3] == math.inf
+    free = mass()  # of no limits: what runs away has no value, and the rest the least
+    regulator = Regulator.of(free, find_task_equilibria(free), *WEIGHTS)
+    ways = torch.tensor([[[0.0, 0.0]], [[1e30, -1e30]], [[1e-3, 0.0]]])
+    told = _values(regulator, ways, torch.zeros(1, 1)).flatten().tolist()
+    assert math.isfinite(told[0]) and told[1:] == [math.inf, math.inf]
 
 
 def test_the_search_finds_the_quick_way_home():
