@@ -333,6 +333,13 @@ PERIODS = {
 # --- the check of a controller ---------------------------------------------------------------------------------------
 
 
+def _stability(**facts: Any) -> str:
+    """Return whether a loop is stable, and what becomes of it where it is not."""
+    if not facts["unstable"]:
+        return _fill(STABLE, {"neutral": False, **facts})
+    return _fill(HELD if facts["swing"]["share"] < NO_SWING else UNSTABLE, facts)
+
+
 def _margin(form: str) -> Callable[..., str]:
     """Return what says a margin, its figure being in `form`."""
     least, limit = form.format("{value:.4g}"), form.format("{limit:g}")
@@ -357,6 +364,13 @@ UNSTABLE = (
     "or its swings grow), {swing[share]:percent} of its target range, and {input} by {input_swing:.2g}; thresholds: "
     "spectral radius < 1, or swings of {swing_limit:percent}"
 )
+HELD = (
+    "at rest at {unstable} of {targets} targets of {outputs:and}, at ({target:list}) for one, as dry friction holds "
+    "the plant, but NOT stable there for movements of {swing_limit:percent} of the range, and no margins are known; "
+    "simulated there for {seconds:time}, {ends[output]} ends within {ends[error]:.3g} {ends[unit]} of its target"
+)
+NO_SWING = 1e-6
+"""Swing that is none [target ranges]."""
 NOISE = "noise of the sensors moves {input} by {value:.3g} (standard deviation); threshold: {limit:g}"
 NO_NOISE = "not known, as the controller's file states none of sensors; a run with sensors=bench, or on a log, does"
 
@@ -592,7 +606,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "model.uncontrolled": "in the equations that were found no input moves {outputs:list}, so nothing can be planned; "
     "record longer, and let every input change often and by much",
     # the check of a controller
-    "check.stability": lambda **facts: _fill(UNSTABLE if facts["unstable"] else STABLE, {"neutral": False, **facts}),
+    "check.stability": lambda **facts: _stability(**facts),
     "check.gain_margin": _margin("{}"),
     "check.gain_reduction": _margin("1/{}"),
     "check.phase_margin": _margin("{} deg"),

@@ -93,9 +93,8 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
         say(next_steps(*flown, *(run_steps(folder, "check", "export") if written else ())))
     elif not swept:
         lacking, words = "model.unexplained" in [f["code"] for f in metrics["findings"]], job.overrides.task
-        missed = metrics["imagined_error"] or 0.0
-        longer = f"plans longer: in the model, too, targets are missed by {100 * missed:.2g} %"
-        longer = longer if missed > ACCEPTABLE_ERROR else ""
+        error = metrics["imagined_error"] or 0.0
+        longer = f"plans longer: errors in the model are {100 * error:.2g} %" if error > ACCEPTABLE_ERROR else ""
         say(improvements(folder, words, recipe.train.episodes, written, longer, lacking))
     good = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve
     return good and (controlled or not cfg.evaluation.get("must_control"))

@@ -168,8 +168,7 @@ def check(cfg: DictConfig, file: str = "", plugins: Sequence[str] = ()) -> None:
         read = {"plant.functions", "plant.libraries", *re.findall(r"\bplant(?:\.\w+)+", conf)}
         groups = dict(nodes({"plant": raw.get("plant")}))
         for group in ("plant", "plant.signals"):
-            below = [key.removeprefix(f"{group}.") for key in read if key.startswith(f"{group}.")]
-            allowed = {key.partition(".")[0] for key in below}
+            allowed = {key.split(".")[group.count(".") + 1] for key in read if key.startswith(f"{group}.")}
             for name in [str(name) for name in groups.get(group, ()) if name not in allowed]:
                 raise ValueError(unknown_name(name, allowed, group))
     try:
@@ -189,8 +188,7 @@ def check(cfg: DictConfig, file: str = "", plugins: Sequence[str] = ()) -> None:
     except InterpolationResolutionError as error:
         lacking = re.search(r"^Interpolation key '(.+)' not found$", str(error), re.M)
         what = lacking[1] if lacking else f"a group of keys, from which {error.full_key} is taken,"
-        what = f"{what} is not given; give it as conf/ does"
-        raise ValueError(f"{file}: {what}".removeprefix(": ")) from error
+        raise ValueError(f"{file}: {what} is not given; give it as conf/ does".removeprefix(": ")) from error
     except ValueError as error:
         raise ValueError(f"{file}: {error}".removeprefix(": ")) from error
 
