@@ -100,7 +100,7 @@ SHARE, HIDDEN_SHARE, LARGEST_SHARE, LAST_SHARE = 0.25, 0.35, 0.5, 0.15
 """Part of the time that states that follow a signal may take, hidden states that are tried before them, any one
 candidate, and the last fit."""
 FIRST_SHARE = 1 / 30
-"""Part of the time that the first candidate may take on the first part, or no others are kept to judge on."""
+"""Part of the time that may have passed after the first candidate on one part, or no others are kept to judge on."""
 CUBIC = 6
 """States and inputs up to which cubic functions are tried."""
 ANGLES = frozenset({"rad", *TURNS})
@@ -500,7 +500,7 @@ class _Search:
         """Fit copies of a model to what is not kept, and judge them."""
         if self.tried and (self.expired or self._exact()):
             return None
-        fitted, errors, candidate, began = list[SindyModel](), list[Tensor](), None, time.process_time()
+        fitted, errors, candidate = list[SindyModel](), list[Tensor](), None
         with _attempt(), reporting_as(what):
             for model, fold in zip(models, self.folds, strict=True):
                 if errors and self.tried and self.expired:
@@ -516,7 +516,7 @@ class _Search:
                     return None  # what moves by nothing is no equation, what moves nothing no state
                 errors.append(fold.errors(fitted[-1], source))
                 first = not self.tried and len(errors) == 1
-                if first and time.process_time() - began > FIRST_SHARE * self.refinement.seconds:
+                if first and time.process_time() - self.began > FIRST_SHARE * self.refinement.seconds:
                     self.folds = self.folds[:1]
                     break
                 hopeless = bool(self.tried) and fold.score(errors[-1]) > self.best.score + 2 * HOPELESS
