@@ -337,7 +337,7 @@ def _stability(**facts: Any) -> str:
     """Return whether a loop is stable, and what becomes of it where it is not."""
     if not facts["unstable"]:
         return _fill(STABLE, {"neutral": False, **facts})
-    return _fill(HELD if facts["swing"]["share"] < NO_SWING else UNSTABLE, facts)
+    return _fill(AT_REST if facts["at_rest"] else UNSTABLE, facts)
 
 
 def _margin(form: str) -> Callable[..., str]:
@@ -364,13 +364,12 @@ UNSTABLE = (
     "or its swings grow), {swing[share]:percent} of its target range, and {input} by {input_swing:.2g}; thresholds: "
     "spectral radius < 1, or swings of {swing_limit:percent}"
 )
-HELD = (
-    "at rest at {unstable} of {targets} targets of {outputs:and}, at ({target:list}) for one, as dry friction holds "
-    "the plant, but NOT stable there for movements of {swing_limit:percent} of the range, and no margins are known; "
-    "simulated there for {seconds:time}, {ends[output]} ends within {ends[error]:.3g} {ends[unit]} of its target"
+AT_REST = (
+    "at rest at {unstable} of {targets} targets of {outputs:and}, at ({target:list}) for one, as dry friction or a "
+    "dead zone may hold the plant, but NOT stable there for movements of {swing_limit:percent} of the range, and no "
+    "margins are known; simulated there for {seconds:time}, {ends[output]} ends within {ends[error]:.3g} {ends[unit]} "
+    "of its target"
 )
-NO_SWING = 1e-6
-"""Swing that is none [target ranges]."""
 NOISE = "noise of the sensors moves {input} by {value:.3g} (standard deviation); threshold: {limit:g}"
 NO_NOISE = "not known, as the controller's file states none of sensors; a run with sensors=bench, or on a log, does"
 
@@ -424,7 +423,8 @@ def check_summary(findings: Sequence[Finding]) -> str:
     unknown = [_title(each) for each in findings if each.values.get("known") is False]
     rest = f"weak in {len(weak)} of {len(findings)} findings: {', '.join(weak)}" if weak else "no finding is weak"
     rest += f"; not known: {', '.join(unknown)}" if unknown else ""
-    swings = f", and swings a little at {bad}" if bad else ""
+    at_rest = findings[0].values.get("at_rest")
+    swings = f", {'at rest but not stable' if at_rest else 'and swings a little'} at {bad}" if bad else ""
     return f"In short: stable at {count - bad} of {count} target{'s' * (count > 1)}{swings}; {rest}."
 
 

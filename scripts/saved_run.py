@@ -116,8 +116,8 @@ def improvements(
     steps, resumed = [], any(word.startswith("resume=") for word in words)
     if checked and not lacking:
         steps.append(command_line("check", [f"run={run}"], "tells at which targets the loop is weak, and how"))
-    known = resumed or lacking or (longer and any(word.startswith("planning.updates=") for word in words))
-    if (longer or episodes is not None) and not known:
+    tried = longer and any(word.startswith("planning.updates=") for word in words)
+    if (longer or episodes is not None) and not (resumed or lacking or tried):
         key, value = ("planning.updates", 3000) if longer else ("train.episodes", max(3, 2 * (episodes or 0)))
         does = longer or "flies more episodes, whose data mend the model"
         kept = [word for word in words if not re.fullmatch("experiment=.*smoke", word)]  # which learns too little
@@ -126,7 +126,7 @@ def improvements(
     if logged or (lacking and not resumed):
         identifying = ["system", "data", "plant", "world_model", "refinement", "source", "longest_delay", "threads"]
         own = without(words, *identifying)
-        lacks = "the log lacks: what to record, or which functions" if logged else "the model lacks, with its functions"
+        lacks = "the log lacks: what to record, or which functions" if logged else "the library lacks"
         steps.append(command_line("identify", [word for word in words if word not in own], f"tells what {lacks}"))
     return next_steps(*steps)
 

@@ -17,6 +17,7 @@ from dynasindy.safe_io import (
     read_text,
     remove_leftovers,
     write_json,
+    write_text,
 )
 from dynasindy.sindy import Refinement
 
@@ -126,6 +127,14 @@ def test_files_have_the_rights_that_the_user_gives_new_ones(tmp_path):
     finally:
         os.umask(before)
     assert (tmp_path / "a.json").stat().st_mode & 0o777 == 0o640
+
+
+def test_a_file_that_stands_where_a_writer_would_begin_stays(tmp_path, monkeypatch):
+    monkeypatch.setattr("secrets.token_hex", lambda count: "0" * 2 * count)
+    (tmp_path / f".{'0' * 16}.tmp").write_text("of others")
+    with pytest.raises(FileExistsError, match=r"a\.txt"):
+        write_text(tmp_path / "a.txt", "ours")
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["of others"]
 
 
 def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path):

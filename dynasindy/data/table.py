@@ -283,9 +283,9 @@ def _numbers(cells: pd.Series) -> tuple[Array, dict[str, Any] | None, bool]:
     """Return cells as numbers, the words in them, and whether these are dates, which become seconds."""
     if cells.dtype.kind in "biuf":
         return cells.to_numpy(dtype=np.float64), None, False
-    if cells.dtype.kind in "Mm":
+    if cells.dtype.kind in "Mm" and len(cells):
         dates = _since_1970(pd.to_datetime(cells, utc=True) if cells.dtype.kind == "M" else cells)
-        return dates, {"line": 0, "text": str(cells.iloc[0]), "count": len(cells)}, True
+        return dates, {"line": int(cells.index[0]), "text": str(cells.iloc[0]), "count": len(cells)}, True
     text = cells.astype("string").str.strip()
     numbers = pd.to_numeric(text, errors="coerce").to_numpy(np.float64, na_value=np.nan)
     switched = text.str.lower().map(SWITCHED)

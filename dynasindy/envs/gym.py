@@ -10,14 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
-from pydantic import Field
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Unbounded
@@ -203,10 +202,10 @@ class Foreign(System):
         observed: Sequence[str] | None = None,
         angles: Mapping[str, Sequence[str]] | None = None,
         rates: Mapping[str, str] | None = None,
-        repeat: Annotated[int, Field(ge=1, le=1000)] = 1,
+        repeat: int = 1,
     ) -> None:
-        if repeat < 1:
-            raise ValueError(f"repeat is {repeat}; give the steps of a control period, 1 or more")
+        if not 1 <= repeat <= 1000:  # the limit is arbitrary, but more would hardly end
+            raise ValueError(f"system.repeat is {repeat}; give the steps of a control period, 1 to 1000")
         self.id, self.options, self.repeat = id, dict(options or {}), repeat
         copy = self.make(1)
         seen, acted = copy.observation_space, copy.action_space

@@ -32,6 +32,8 @@ AWAY = 3.0
 """Distance from the target beyond which what ends there has run away [target ranges, or ways to it if longer]."""
 LONGER = 5
 """How many times as long as the others flights are where the loop is not stable: a slow swing has time to grow."""
+NO_SWING = 1e-6
+"""Swing that is none [target ranges]."""
 GROWTH = 1.1
 """Ratio of the swings in the last part of such a flight to those in the part before, from which on they grow."""
 
@@ -494,6 +496,7 @@ def _stability(found: Check, limits: Thresholds) -> Finding:
         moved = found.swings.inputs.amax(0)
         i = int(moved.argmax())
         facts |= {"swing": _largest_error(found, found.swings.outputs, limits), "swing_limit": limits.swing}
+        facts |= {"at_rest": facts["swing"]["share"] < NO_SWING}
         facts |= {"input": found.loop.signature.input_names[i], "input_swing": float(moved[i])}
         return (wrong if bool(unstable_targets(found, limits).any()) else weak)("check.stability", **facts)
     radii = found.rest.linear.radius

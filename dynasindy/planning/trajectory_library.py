@@ -2,8 +2,8 @@
 
 | name     | symbol   | equation                                                                               |
 | -------- | -------- | -------------------------------------------------------------------------------------- |
-| points   | x_i, u_i | of the ways to the rest of their reference, counted from there; the rest itself is one  |
-| value    | P_i      | Riccati's difference equation back from where the rest's regulator catches the plant   |
+| points   | x_i, u_i | of ways to the rest of their reference, counted from there; the rest itself is one     |
+| value    | P_i      | Riccati's difference equation back along the way, from that of the rest's regulator    |
 | gain     | K_i      | the same                                                                               |
 | nearest  | i        | least of 30 ((x - x_i) / range)^2 + ln(1 + (x - x_i)' P_i (x - x_i))                   |
 | law      | u        | u_i - K_i (x - x_i), within the limits of inputs                                       |
@@ -23,7 +23,7 @@ around the best of them (Rubinstein 1999).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -51,8 +51,8 @@ LENGTHS = (20, 40, 60, 80, 120, 160)
 """Lengths of the ways that are tried, the shorter first [control periods]."""
 WATCHED, STILL, NEAR = 100, 20, 0.05
 """A plant is caught if the regulator has it within 5 % of its ranges in the last 20 of 100 control periods."""
-TREMBLE = 0.2
-"""Deviation of the errors of inputs that a way is to bear."""
+INPUT_NOISE = 0.2
+"""Standard deviation of the errors of inputs that a way is to bear."""
 TRIED = 5
 """Points of a way at which the regulator is tried, the nearest to the rest first."""
 WEIGHTS = 10.0, 1.0
@@ -103,25 +103,28 @@ class TrajectoryLibrary:
         law, most, periods = None, (0, 0), max([len(part[1]) for part in parts.values()], default=0)
         chosen: list[int] = []
         while most[0] < len(rows.x) and (left := parts.keys() - {*chosen}):
-            laws = {
-                i: cls(regulator, *map(torch.cat, zip(*(parts[k] for k in (*chosen, i)), strict=True))) for i in left
-            }
-            home = {i: each._brought_home(env, rows, periods, rng) for i, each in laws.items()}
+            laws = {i: cls._along_ways(regulator, [parts[k] for k in (*chosen, i)]) for i in left}
+            home = {i: each._count_arrivals(env, rows, periods, rng) for i, each in laws.items()}
             if home[best := max(home, key=home.__getitem__)][0] <= most[0]:
                 break
             law, most, chosen = laws[best], home[best], [*chosen, best]
         return law, imagined
 
-    def _brought_home(self, env: ControlEnv, rows: Rows, periods: int, rng: torch.Generator) -> tuple[int, int]:
+    @classmethod
+    def _along_ways(cls, regulator: Regulator, parts: Sequence[tuple[Tensor, ...]]) -> TrajectoryLibrary:
+        """Return the law of what `_along` returned of some ways."""
+        return cls(regulator, *(torch.cat(part) for part in zip(*parts, strict=True)))
+
+    def _count_arrivals(self, env: ControlEnv, rows: Rows, periods: int, rng: torch.Generator) -> tuple[int, int]:
         """Return how many rows the law brings to rest, and how many where its inputs err for so many periods."""
         erring = iter(range(periods))
 
-        def _trembling(observation: Tensor) -> Tensor:
+        def _noisy(observation: Tensor) -> Tensor:
             u = self(observation)
             errs = next(erring, None) is not None
-            return self.regulator.task.limit(u + TREMBLE * torch.randn(u.shape, generator=rng)) if errs else u
+            return self.regulator.task.limit(u + INPUT_NOISE * torch.randn(u.shape, generator=rng)) if errs else u
 
-        laws: tuple[Network, ...] = self, _trembling
+        laws: tuple[Network, ...] = self, _noisy
         exact, rough = (at_rest(env, law, self.regulator, rows, periods + WATCHED).sum() for law in laws)
         return int(exact), int(rough)
 
@@ -167,7 +170,7 @@ def _find_caught_trajectories(
             break
         ways = _search(env, regulator, rows.x[left], reference[left], periods, rng)
         imagined += len(left) * POPULATION * ROUNDS * periods
-        rank = _values(regulator, ways.states, reference[left]).argsort(0)
+        rank = _log_values(regulator, ways.states, reference[left]).argsort(0)
         for k in rank[:TRIED]:
             here = Rows.start(ways.states[k, torch.arange(len(left))], rows.params[left], rows.held.shape[1])
             for j, end in _catch(env, regulator, here).items():
@@ -181,7 +184,7 @@ def _catch(env: ControlEnv, regulator: Regulator, rows: Rows) -> dict[int, _Traj
 
     They belong to the law: a state on them is nearer to the end of what was searched than to the rest.
     """
-    whole, reference, rests = _fly(env, regulator, regulator, rows, WATCHED)
+    whole, reference, rests = _imagine_to_rest(env, regulator, regulator, rows, WATCHED)
     away = (~regulator.home(whole.states, reference, NEAR)).int().flip(0)
     lengths = torch.where(away.any(0), len(away) - away.argmax(0), 0).tolist()
     return {
@@ -200,11 +203,11 @@ def at_rest(env: ControlEnv, law: Network, regulator: Regulator, rows: Rows, per
         rows: Where the episodes begin.
         periods: Their length [control periods].
     """
-    return _fly(env, law, regulator, rows, periods)[2]
+    return _imagine_to_rest(env, law, regulator, rows, periods)[2]
 
 
 @torch.no_grad()
-def _fly(
+def _imagine_to_rest(
     env: ControlEnv, law: Network, regulator: Regulator, rows: Rows, periods: int
 ) -> tuple[Window, Tensor, Tensor]:
     """Return imagined episodes, their references, and which of them rest there in the end."""
@@ -242,7 +245,7 @@ def _search(
 
     def _nearest(drawn: Tensor) -> Tensor:
         states = _roll(env, starts, signal(drawn, periods, env.task.limit))
-        return -_values(regulator, states, repeated).amin(0)
+        return -_log_values(regulator, states, repeated).amin(0)
 
     rounds = track("search for ways from afar", range(ROUNDS), ROUNDS, "rounds")
     knots = torch.zeros(len(x), max(2, periods // KNOT), env.system.signature.n_u)
@@ -301,7 +304,7 @@ def _roll(env: ControlEnv, x: Tensor, inputs: Tensor) -> Tensor:
     return torch.cat([x.unsqueeze(0), samples[..., -1, :]])
 
 
-def _values(regulator: Regulator, states: Tensor, reference: Tensor) -> Tensor:
+def _log_values(regulator: Regulator, states: Tensor, reference: Tensor) -> Tensor:
     """Return the logarithm of the regulator's value along ways, `(T + 1, n)`, infinite once the limits are left."""
     low, high = regulator.task.bounds.to(states)
     value = regulator.value(states, reference)

@@ -127,6 +127,15 @@ def test_arrays_of_other_lengths_are_left_out_and_said(tmp_path):
     assert found.findings[1] == note("log.other_lengths", length=300, names=["trigger (7)"])
 
 
+def test_typed_dates_are_no_input(tmp_path):
+    stamps = np.datetime64("2025-03-14T09:26:00") + np.arange(ROWS).astype("timedelta64[s]")
+    np.savez(tmp_path / "log.npz", time=T, angle=SWING, u=stamps)
+    with pytest.raises(LogError) as found:
+        LoggedData(str(tmp_path / "log.npz")).recording(None)
+    finding = found.value.finding
+    assert finding.code == "log.worded_column" and finding.values["column"] == "u"
+
+
 def test_what_is_no_column_of_real_numbers_is_told_and_text_may_hold_the_time(tmp_path):
     stamps = np.array([f"2025-03-14 09:26:{second:06.3f}" for second in T])
     columns = {"time": stamps, "angle": SWING, "u": STAIRS, "z": 1j * SWING, "camera": np.zeros((ROWS, 3, 3))}

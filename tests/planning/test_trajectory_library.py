@@ -20,9 +20,9 @@ from dynasindy.planning.trajectory_library import (
     TrajectoryLibrary,
     _along,
     _find_caught_trajectories,
+    _log_values,
     _roll,
     _search,
-    _values,
     cross_entropy,
     signal,
 )
@@ -92,7 +92,7 @@ def test_of_two_ways_the_one_is_taken_that_bears_errors_of_its_inputs():
     points, inputs, gains, values = _along(env, regulator, way, torch.zeros(1))
     held = TrajectoryLibrary(regulator, points, inputs, gains, values)
     loose = TrajectoryLibrary(regulator, points, inputs, 0.05 * gains, values)
-    found = [law._brought_home(env, begun, 40, torch.Generator().manual_seed(0)) for law in (held, loose)]
+    found = [law._count_arrivals(env, begun, 40, torch.Generator().manual_seed(0)) for law in (held, loose)]
     assert found[0] == (8, 8) and found[1][0] == 8 > found[1][1]
 
 
@@ -192,7 +192,7 @@ def test_a_way_counts_where_it_is_nearest_to_rest_by_the_regulators_value_until_
     a, b = np.array([[1, 0.1], [0, 1.0]]), np.array([[0.005], [0.1]])
     found = solve_discrete_are(a, b, np.diag([10.0, 1.0]), np.eye(1))
     ways = torch.tensor([[[1.0, 0.0], [0.5, -1.0], [2.1, 0.0], [0.0, 0.0]], [[-2.0, 0.5]] * 3 + [[math.nan, 0.0]]])
-    told = _values(regulator, ways.transpose(0, 1), torch.zeros(2, 1)).mT
+    told = _log_values(regulator, ways.transpose(0, 1), torch.zeros(2, 1)).mT
     wanted = [
         [math.log(np.array(x) @ found @ np.array(x)) for x in way] for way in ([[1, 0], [0.5, -1]], [[-2, 0.5]] * 3)
     ]
@@ -201,7 +201,7 @@ def test_a_way_counts_where_it_is_nearest_to_rest_by_the_regulators_value_until_
     free = mass()  # of no limits: what runs away has no value, and the rest the least
     regulator = Regulator.of(free, find_task_equilibria(free), *WEIGHTS)
     ways = torch.tensor([[[0.0, 0.0]], [[1e30, -1e30]], [[1e-3, 0.0]]])
-    told = _values(regulator, ways, torch.zeros(1, 1)).flatten().tolist()
+    told = _log_values(regulator, ways, torch.zeros(1, 1)).flatten().tolist()
     assert math.isfinite(told[0]) and told[1:] == [math.inf, math.inf]
 
 
