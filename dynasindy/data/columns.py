@@ -109,7 +109,12 @@ def _alike(name: str, units: Mapping[str, str]) -> list[str]:
 
 def _is_actuator(name: str, unit: str) -> bool:
     """Tell whether a column is called as what acts on a plant is, and is not measured by its name or unit."""
-    return bool(ACTUATOR.fullmatch(name)) and not (MEASURED.search(name) or MEASURED_UNIT.fullmatch(unit))
+    return bool(ACTUATOR.fullmatch(name)) and not _is_measured(name, unit)
+
+
+def _is_measured(name: str, unit: str) -> bool:
+    """Tell whether a column is measured by its name or unit."""
+    return bool(MEASURED.search(name) or MEASURED_UNIT.fullmatch(unit))
 
 
 def _predicted_by(driver: Array, column: Array) -> float:
@@ -150,11 +155,31 @@ def _in_steps(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[st
     most = 0.5 * min((standing[name] for name in found), default=0.0)
     if not found or any(share >= most for name, share in standing.items() if name not in found):
         return []
-    pair = [name for name in _alike(found[0], units) if name in columns]
-    if not {*found} <= {*pair}:
+    kind = {*_alike(found[0], units), *_of_one_kind(found[0], columns, units)}
+    pair = [name for name in columns if name in kind]
+    if not {*found} <= kind:
         return []
     found = pair if len(pair) < len(columns) else found  # columns of one matrix are no pair
     return found if len(found) < len(columns) else []
+
+
+def _of_one_kind(name: str, columns: Mapping[str, Array], units: Mapping[str, str]) -> list[str]:
+    """Return columns whose unit is the same, and whose name but for a word, and that act more than they are moved.
+
+    `V_yaw` beside `V_pitch` is one. An input that a controller makes of states moves in every row, and these predict
+    little of it.
+    """
+    words = {each: re.findall(r"[^\W\d_]+|\d+", each) for each in columns}
+    found = list[str]()
+    for each, own in words.items():
+        differ = sum(a != b for a, b in zip(own, words[name])) if len(own) == len(words[name]) > 1 else 2
+        if differ > 1 or units[each] != units[name] or _is_measured(each, units[each]):
+            continue
+        others = [other for other in columns if other != each]
+        acts = max(_predicted_by(columns[each], columns[other]) for other in others)
+        if acts > 2 * max(_predicted_by(columns[other], columns[each]) for other in others):
+            found.append(each)
+    return found
 
 
 def infer(

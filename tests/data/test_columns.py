@@ -282,6 +282,36 @@ def test_inputs_are_called_as_actuators_are_and_move_what_follows(tmp_path, head
     assert [each.values["named"] for each in guessed] == [True] * ("command" not in headings)
 
 
+HELICOPTER = simulated(
+    lambda x, u: (x[2], x[3], 2 * u[0] + 0.6 * u[1] - x[0] - x[2], 4 * u[1] - 0.3 * u[0] - x[3]),
+    [lambda x, a=a, b=b: (a, b - 2 * x[1]) for a, b in np.random.default_rng(8).uniform(-1, 1, (50, 2)).repeat(30, 0)],
+)
+LAGS = simulated(
+    lambda x, u: (3 * (u[0] - x[0]), 2 * (x[0] - x[1])),
+    [lambda x, a=a: (a,) for a in np.random.default_rng(9).uniform(0, 9, 50).repeat(30)],
+)
+
+
+@pytest.mark.parametrize(
+    ("headings", "columns", "inputs"),
+    [
+        ("pitch,yaw,pitch rate,yaw rate,V_pitch [V],V_yaw [V]", HELICOPTER, ["V_pitch", "V_yaw"]),
+        ("pitch,yaw,pitch rate,yaw rate,V_pitch [V],V_yaw [rad]", HELICOPTER, ["V_pitch"]),
+        ("flow out,flux,flow in", LAGS, ["flow in"]),
+        ("x middle,x out,x in", LAGS, ["x in"]),
+    ],
+)
+def test_an_input_that_a_controller_makes_of_states_is_found_beside_one_of_its_kind_in_steps(
+    tmp_path, headings, columns, inputs
+):
+    path, rng = tmp_path / "log.csv", np.random.default_rng(5)
+    noise = 0.003 * rng.normal(size=(len(columns), len(LONG))) * np.ptp(columns, 1, keepdims=True)
+    noise[-2 if "V_" in headings else -1 :] = 0
+    table = np.stack([LONG, *(np.array(columns) + noise)], 1)
+    np.savetxt(path, table, fmt="%.6f", delimiter=",", header=f"time [s],{headings}", comments="")
+    assert list(infer(Table.read(path))[1]) == inputs
+
+
 def test_what_is_called_as_an_actuator_and_moves_nothing_is_no_input(tmp_path):
     """A supply's voltage that nothing follows; of three torques of which none is told apart all are offered."""
     path, rng = tmp_path / "log.csv", np.random.default_rng(6)
