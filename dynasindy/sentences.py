@@ -627,8 +627,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "come to rest a steady error of at most {error:.3g}{unit:unit} of {output}, and {ran_away} run away in the step of "
     "steps.png; threshold: stable, {limit:.3g}{unit:unit}",
     "check.recovery": "comes back from errors of up to {reach:|# times }the typical size of each state: "
-    "{shares:shares}, of {tried} each, and rests with an error of {error:.3g}{unit:unit} of {output}; threshold: "
-    "{limit:percent}",
+    "{shares:shares}, of {tried} each or of the smaller ones if that is less, and rests with an error of "
+    "{error:.3g}{unit:unit} of {output}; threshold: {limit:percent}",
     # a run
     "plant.coarse_steps": _coarse_steps,
     "plant.longer_episodes": "episodes have {steps} control periods (<task.max_steps>), and the environment is "

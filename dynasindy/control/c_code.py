@@ -214,7 +214,7 @@ def controller_sources(controller: Controller, name: str = "controller") -> Sour
             "unknown": (UNKNOWN * size).square(),
             "sensed": sensed,
             "narrowest": (LEAST * size[sensed]).square(),
-            "far": number(FAR**2),
+            "far": FAR,
             "range": [*size[: observer.n_x].tolist(), *[1.0] * model.signature.n_u],
         }
     header, source = (fill(f"controller.{ending}", **words) for ending in "hc")

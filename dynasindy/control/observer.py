@@ -49,7 +49,7 @@ NUDGE = 1e-4
 STEPS, DAMPING = 2, 1e-4
 """Gauss-Newton steps per control period by which a push is counteracted, and how much they are damped."""
 FAR = 1e3
-"""Innovations that no plant has, and that count as lost samples [standard deviations]."""
+"""Innovations that no plant has, and that count as lost samples [standard deviations]; so with estimates [ranges]."""
 LEAST = 0.003
 """Least standard deviation that this bound counts in [ranges of the state], so it is three ranges or more. A plant that
 is kicked, or a sensor that begins anew, stays within two, however small the noise; of normal innovations the largest of
@@ -171,12 +171,12 @@ class Observer:
         The normalised innovation squared is divided by the number of measured states, so that it is 1 on average where
         the noise levels are right; it is NaN where nothing was measured. Both are `(*batch,)`. An innovation that no
         plant has, see `FAR`, counts as a lost sample, and its state is doubted: one that truly is there is believed
-        soon.
+        soon. An estimate that no plant has is lost, and begins anew from the measurement.
 
         Raises:
             Diverged: The covariance is singular, as where the model's slopes explode.
         """
-        y = self._padded(y)
+        begun, y = self.begin(y), self._padded(y)
         measured, off = ~y.isnan(), y.double() - belief.mean
         own = belief.covariance.diagonal(dim1=-2, dim2=-1) + self.variance
         seen = measured & (off.square() <= FAR**2 * own.clamp_min((LEAST * self.scale).square()))
@@ -199,7 +199,13 @@ class Observer:
             covariance = covariance + torch.diag_embed(doubt)
         squared = (innovation.mT @ torch.linalg.solve(spread, innovation)).squeeze(-1).squeeze(-1)
         likelihood = -0.5 * (squared + torch.linalg.slogdet(spread).logabsdet)
-        return Belief(belief.mean + (gain @ innovation).squeeze(-1), covariance), squared / seen.sum(-1), likelihood
+        mean = belief.mean + (gain @ innovation).squeeze(-1)
+        sound = (mean.abs() <= FAR * self.scale).all(-1, keepdim=True) & covariance.isfinite().all((-2, -1)).unsqueeze(
+            -1
+        )
+        mean = torch.where(sound, mean, begun.mean)
+        covariance = torch.where(sound.unsqueeze(-1), covariance, begun.covariance)
+        return Belief(mean, covariance), squared / seen.sum(-1), likelihood
 
     def ahead(self, mean: Tensor, inputs: Tensor) -> Tensor:
         """Predict the state at the time at which the next command arrives at the plant.
@@ -247,7 +253,7 @@ class Observer:
             # Far off, where a model explodes, the matrix may be singular in spite of the damping: no number, no shift.
             step, failed = torch.linalg.solve_ex(normal, slopes.mT @ missing)
             shift = shift + step.squeeze(-1).masked_fill(failed.bool().unsqueeze(-1), torch.nan) * scale
-        return torch.where(shift.isfinite().all(-1, keepdim=True), shift, torch.zeros_like(shift))
+        return torch.where((shift.abs() <= FAR * scale).all(-1, keepdim=True), shift, torch.zeros_like(shift))
 
     def follow(self, y: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Filter a log.

@@ -105,8 +105,9 @@ class _Plane:
 
     @property
     def share(self) -> float:
-        """Share of the grid from which it comes back."""
-        return float(self.back.double().mean())
+        """Share of the grid from which it comes back, or of a smaller square about its middle where that is less."""
+        n = len(self.back)
+        return min(float(self.back[k : n - k, k : n - k].double().mean()) for k in range((n + 1) // 2))
 
 
 @dataclass(frozen=True)

@@ -186,7 +186,7 @@ def _solved(a: Tensor, b: Tensor) -> Tensor:
     whole, columns = torch.cat([a, b], -1), torch.eye(n, dtype=a.dtype)
     for c in range(n):
         row = whole[c : c + 1] / whole[c : c + 1, c : c + 1]
-        whole = whole - (whole[:, c : c + 1] - columns[:, c : c + 1]) * row
+        whole = torch.where(columns[:, c : c + 1] > 0, row, whole - whole[:, c : c + 1] * row)
     return whole[:, n:]
 
 

@@ -194,6 +194,7 @@ class SindyModel(WorldModel):
         if self._fastest is None:
             n_x, n_u = self.signature.n_x, self.signature.n_u
             points = 2 * torch.rand(POINTS, n_x + n_u, generator=torch.Generator().manual_seed(0)).double() - 1
+            points[::2, :n_x] *= points[1::2, :n_x] > 0  # any of the states at rest, where dry friction is steepest
             x = points[:, :n_x] * torch.tensor(self.signature.x_scale, dtype=torch.float64)
             self._fastest = relative_step(self.library, self.coefficients, x, points[:, n_x:], 1.0)
         return substeps_for(self._fastest * dt, turned)

@@ -109,6 +109,15 @@ def test_each_call_is_that_of_python_also_where_samples_are_lost_or_wild_or_no_a
     assert refused >= 2
 
 
+def test_where_a_model_explodes_it_begins_anew_as_in_python(tmp_path):
+    controller = pendulum_controller(**SHORT)
+    controller.observer.model.set_coefficients(controller.observer.model.coefficients * -400.0)
+    step = written(controller, tmp_path)
+    for k in range(10):
+        y = [0.4 * math.sin(k), math.nan]
+        np.testing.assert_allclose(step.act(y, [0.3], [0.0]), controller.act(y, [0.3]), atol=1e-5, err_msg=f"call {k}")
+
+
 def test_onnxruntime_acts_as_the_policy(tmp_path):
     controller = pendulum_controller()
     policy_onnx(controller, tmp_path / "policy.onnx")

@@ -320,6 +320,13 @@ def test_its_steps_fit_the_fastest_motion_anywhere_in_its_ranges(rate, most):
     assert found.substeps(0.1) == 1
 
 
+def test_its_steps_fit_dry_friction_which_is_steep_at_rest_alone():
+    """v' = -tanh(1000 v) / 1000 slows down at 1 per second at rest, and hardly anywhere else in its range."""
+    found = SindyModel(Signature(("p", "v"), ("m", "m/s"), ("u",), (1.0, 1.0)), ["v", "tanh(1000 v)"])
+    found.set_coefficients(torch.tensor([[1.0, 0.0], [0.0, -1e-3]], dtype=torch.float64))
+    assert found.substeps(0.9) == 3
+
+
 @pytest.mark.parametrize("machine_code", [False, True])
 @pytest.mark.parametrize("moving", [False, True])
 def test_many_trajectories_are_those_that_each_start_has_alone(machine_code, moving):

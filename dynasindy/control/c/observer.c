@@ -6,6 +6,8 @@ static const double step[N] = { {{- (nudge * size) | numbers -}} };
 static const double strays[N] = { {{- strays | numbers -}} };
 /* variance of what is not measured when it begins, and by which a state is doubted */
 static const double unknown[N] = { {{- unknown | numbers -}} };
+/* estimates that no plant has are beyond it */
+static const double farthest[N] = { {{- (far * size) | numbers -}} };
 /* places of the states that are measured */
 static const int sensed[M] = { {{- sensed | join(", ") -}} };
 /* R: variance of their measurements */
@@ -22,7 +24,7 @@ static void begin({{ name }}_state *s, const double y[NX])
     for (i = 0; i < N; i++)
         s->p[i][i] = unknown[i];
     for (i = 0; i < M; i++)
-        if (y[sensed[i]] * y[sensed[i]] <= {{ far }} * unknown[sensed[i]]) {
+        if (y[sensed[i]] * y[sensed[i]] <= {{ (far * far) | number }} * unknown[sensed[i]]) {
             s->x[sensed[i]] = y[sensed[i]];
             s->p[sensed[i]][sensed[i]] = variance[i];
         }
@@ -80,14 +82,15 @@ static void advance({{ name }}_state *s)
 }
 
 /* K = P C' / (C P C' + R), x += K (y - C x), P = (I - K C) P (I - K C)' + K R K' for one sensor after the other, as
- * their errors are independent; C picks its state. What no plant can do counts as lost, and that state is doubted. */
+ * their errors are independent; C picks its state. What no plant can do counts as lost, and that state is doubted; of
+ * an estimate that no plant has all begins anew. */
 static void correct({{ name }}_state *s, const double y[NX])
 {
     double gain[N], row[N];
-    int seen[M], i, j, k;
+    int seen[M], i, j, k, sound = 1;
     for (i = 0; i < M; i++) {
         const double off = y[sensed[i]] - s->x[sensed[i]], own = s->p[sensed[i]][sensed[i]] + variance[i];
-        seen[i] = off * off <= {{ far }} * (own < narrowest[i] ? narrowest[i] : own);
+        seen[i] = off * off <= {{ (far * far) | number }} * (own < narrowest[i] ? narrowest[i] : own);
     }
     for (i = 0; i < M; i++) {
         const int c = sensed[i];
@@ -108,6 +111,13 @@ static void correct({{ name }}_state *s, const double y[NX])
     for (i = 0; i < M; i++)
         if (!seen[i] && isfinite(y[sensed[i]]))
             s->p[sensed[i]][sensed[i]] += unknown[sensed[i]];
+    for (i = 0; i < N; i++) {
+        sound = sound && fabs(s->x[i]) <= farthest[i];
+        for (j = 0; j < N; j++)
+            sound = sound && isfinite(s->p[i][j]);
+    }
+    if (!sound)
+        begin(s, y);
 }
 
 /* Predict the state at the time at which the next input arrives at the plant. */
@@ -170,7 +180,7 @@ static void counteract({{ name }}_state *s, const double x[N])
             s->shift[j] += normal[j][NZ] / normal[j][j] * range[j];
     }
     for (j = 0; j < NZ; j++)
-        sound = sound && isfinite(s->shift[j]);
+        sound = sound && fabs(s->shift[j]) <= {{ far | number }} * range[j];
     if (!sound)
         memset(s->shift, 0, sizeof s->shift);
 }
