@@ -180,7 +180,7 @@ class Progress:
                     self.display.remove_task(self.tasks.pop(key))
                 if event.phase != LOADING and now - start >= SHORT:
                     self._write(event.line(now - start))
-            self.due = now + INTERVAL
+                    self.due = now + INTERVAL
 
     def _handle(self, event: Event) -> None:
         with self.lock:
@@ -188,7 +188,7 @@ class Progress:
             if (new := key not in self.phases) and not event.outer:
                 self.finish()
             if new and (not event.outer or not self.phases):
-                self.due = now + SHORT
+                self.due = max(now + SHORT, self.due)
             before, start = self.phases.get(key, (event, now))
             begins = event.outer and event.done < before.done  # the next job of a sweep
             self.phases[key] = event, now if begins else start

@@ -124,7 +124,7 @@ def error_of(value: float) -> str:
 
 FORMATS: dict[str, Callable[[Any], str]] = {
     "list": lambda values: ", ".join(f"{each:g}" if isinstance(each, float) else str(each) for each in values),
-    "and": lambda values: " and ".join(map(str, values)),
+    "and": lambda values: " and ".join(filter(None, [", ".join(map(str, values[:-1])), *map(str, values[-1:])])),
     "shares": lambda shares: ", ".join(f"{100 * share:.3g} % in {name}" for name, share in shares.items()),
     "percent": lambda share: f"{100 * share:.3g} %",
     "time": format_duration,
@@ -596,7 +596,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "model.linear_better": "a linear model on past samples predicts {state} {seconds:time} ahead to {linear:error}"
     "{unit:unit}, this one to {error:error}: a function may be missing, or a state that no sensor sees",
-    "model.leave_out": "if {states:and} is no part of the plant, as a temperature beside it, leave it out: "
+    "model.leave_out": "leave out what is no part of the plant, as a temperature beside it; without {states:and}: "
     "{kept:data.states}",
     "model.unexplained": "of the changes from sample to sample the model misses {shares:shares}: its library lacks a "
     "function, or the plant has a state that is not measured",

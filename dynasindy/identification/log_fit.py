@@ -79,7 +79,7 @@ SHORTEST, LONGEST, WORSE = 50, 800, 2
 before; and how many of them in turn may be worse than the best before longer ones are given up."""
 PER_TERM = 0.01
 """Part by which errors have to be lower for a coefficient more; of functions that are not linear, and for a state more
-that follows a signal, twice as much; for inputs that move evenly once."""
+that follows a signal, twice as much; for inputs that are linear between samples once."""
 FARTHEST, LIMIT = 200, 10_000
 """Samples ahead up to which candidates are judged at least, where there are so many, and at most."""
 BEHIND = 1.0
@@ -438,7 +438,7 @@ class _Search:
         if linear:
             of = linear[0]
             source = of.source.with_linear_inputs()
-            what, models = f"{of.what}, inputs that move evenly", [_warm_started(model) for model in of.models]
+            what, models = f"{of.what}, inputs linear between samples", [_warm_started(model) for model in of.models]
             tried = self._fit(what, models, source, self._settings(select=False), of.structure)
             linear[0] = _better(of, tried)
         firsts = dict[tuple[str, ...], Candidate]()  # of each set of states the best one
@@ -666,7 +666,10 @@ class _Search:
 
     def _try_state_space(self, until: float) -> None:
         """Try linear equations of all states with hidden ones."""
-        for source, moving in ((self.source, ""), (self.source.with_linear_inputs(), ", inputs that move evenly")):
+        for source, moving in (
+            (self.source, ""),
+            (self.source.with_linear_inputs(), ", inputs linear between samples"),
+        ):
             if self.best.score > 0:
                 parts = [source.training.select(fold.fit_rows()) for fold in self.folds]
                 begun = (state_space_candidates(self.given, part) for part in parts)
@@ -730,7 +733,9 @@ class _Search:
         """Let functions come in and go from a candidate on, at rising prices, and return the best one; None of none."""
         best: Candidate | None = None
         for penalty in PRICES:
-            found = self._again(f"{what} with a penalty of {penalty:g}", last, replace(settings, penalty=penalty))
+            found = self._again(
+                what if penalty <= 1 else f"{what}, few of them", last, replace(settings, penalty=penalty)
+            )
             if found is None:
                 break
             same = found.equations == last.equations
@@ -749,10 +754,10 @@ class _Search:
             return
         names, settings = ", ".join(source.signature.state_names), self._settings(rounds=2)
         pieces = replace(settings, error="prediction", longest_delay=self.refinement.longest_delay)
-        what, begun = f"functions of {names} in simulations of {pieces.window} samples", [model] * len(self.folds)
+        what, begun = f"functions of {names}, simulations of {pieces.window} samples", [model] * len(self.folds)
         if (found := self._fit(what, begun, source, pieces)) is not None:
             begun = [_warm_started(each) for each in found.models]
-        self._fit(f"functions of {names} that regressions choose", begun, source, settings)
+        self._fit(f"functions of {names} chosen by regressions", begun, source, settings)
 
     def _with_one_inertia(self, model: SindyModel, source: Source) -> SindyModel:
         """Return a model with quotients of the one angle that regressions on all functions tell, or of none."""
