@@ -82,7 +82,7 @@ def targets_like(
 def _usual(source: Source, name: str) -> tuple[float, float]:
     """Return the ends between which most samples of a state lie, of an angle a turn apart at most.
 
-    They lie around zero, or around the whole turns in the middle of an angle that was wound away from there.
+    Of more turns it is the one around zero, where an encoder begins, or where the log began if it never was at zero.
     """
     place = source.signature.state_index(name)
     column = source.training.x[:, place].double()
@@ -90,8 +90,10 @@ def _usual(source: Source, name: str) -> tuple[float, float]:
     turn = turn_of(source.signature.state_units[place])
     if high - low <= turn:
         return low, high
-    zero = 0.0 if low <= 0 <= high else turn * round((low + high) / (2 * turn))
-    middle = min(max(zero, low + turn / 2), high - turn / 2)
+    column = column[~column.isnan()]
+    least, most = float(column.min()), float(column.max())
+    zero = 0.0 if least <= 0 <= most else turn * round(float(column[0]) / turn)
+    middle = min(max(zero, least + turn / 2), most - turn / 2)
     return middle - turn / 2, middle + turn / 2
 
 

@@ -108,9 +108,12 @@ def test_of_an_angle_that_was_spun_a_turn_around_zero_is_proposed(unit, turn):
 
 
 @pytest.mark.parametrize(("unit", "turn"), [("rad", 2 * math.pi), ("deg", 360.0)])
-def test_of_an_angle_that_was_wound_up_the_whole_turns_in_its_middle_are_proposed(unit, turn):
-    x = torch.linspace(0.1, 20.0, 1001, dtype=torch.float64).unsqueeze(-1) * turn
+@pytest.mark.parametrize(("begin", "middle"), [(0.0, 0.5), (0.1, 0.6), (4.0, 4.5), (4.6, 5.1)])
+def test_of_an_angle_that_was_wound_up_the_turn_where_it_began_is_proposed(unit, turn, begin, middle):
+    x = torch.linspace(begin, 20.0, 1001, dtype=torch.float64).unsqueeze(-1) * turn
     data = Transitions.from_trajectory(x, torch.zeros(1000, 1), 0.1)
     found = targets_like(Source.of(Recording(data, Signature(("a",), (unit,), ("u",), (1.0,))), 0), [], NONE)
     low, high = float(found["low"][0]), float(found["high"][0])
-    assert (low + high) / 2 == pytest.approx(10 * turn, abs=0.02 * turn) and high - low == pytest.approx(turn, rel=0.02)
+    assert (low + high) / 2 == pytest.approx(middle * turn, abs=0.02 * turn) and high - low == pytest.approx(
+        turn, rel=0.02
+    )
