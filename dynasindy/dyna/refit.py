@@ -33,7 +33,8 @@ class Refit:
         error_before: State error of the earlier model on the held-out windows, in ranges of the states; NaN if none.
         error_after: That of the refitted model.
         kept: Whether the refitted model stays.
-        error: Held-out errors of the model that stays; of the earlier model on the whole episode if none is held out.
+        error: Held-out errors of the model that stays; of the earlier model on the whole episode if none is held out,
+            and NaN of one that is shorter than a window.
     """
 
     report: object
@@ -95,6 +96,8 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
     starts = _held_out_windows(rollout.numel(), WINDOW, settings.held_out)
     if not len(starts):
         unseen = replay_error(parts.model_env, rollout)
+        if rollout.numel() < WINDOW:  # a single period, as one in which an environment ends, tells nothing of a model
+            unseen = replace(unseen, reward_error=torch.nan, state_error=torch.nan)
         return Refit(first_fit(parts, rollout), torch.nan, torch.nan, True, unseen)
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
     held_out[(starts.unsqueeze(-1) + torch.arange(WINDOW)).flatten()] = True

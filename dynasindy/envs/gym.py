@@ -280,6 +280,10 @@ class Foreign(System):
         return copy if self.repeat == 1 else _Repeated(copy, self.repeat)
 
 
+MADE = "steps of a control period"
+"""What tells how many steps of an environment were made in a period, of several."""
+
+
 class _Repeated(gymnasium.Wrapper[Any, Any, Any, Any]):
     """An environment that makes several steps with an action, and pays what they earn together."""
 
@@ -288,14 +292,12 @@ class _Repeated(gymnasium.Wrapper[Any, Any, Any, Any]):
         self.repeat = repeat
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Return the observation after the steps, or after the one that ends the episode."""
-        paid = 0.0
-        for _ in range(self.repeat):
+        """Return the observation after the steps, or after the one that ends the episode, and how many were made."""
+        paid, made, over = 0.0, 0, False
+        while made < self.repeat and not over:
             seen, reward, terminated, truncated, info = self.env.step(action)
-            paid += float(reward)
-            if terminated or truncated:
-                break
-        return seen, paid, terminated, truncated, info
+            paid, made, over = paid + float(reward), made + 1, terminated or truncated
+        return seen, paid, terminated, truncated, {**info, MADE: made}
 
 
 class GymnasiumEnv(ControlEnv):
@@ -379,17 +381,19 @@ class GymnasiumEnv(ControlEnv):
         if self.copies.user is not self or not torch.equal(x, self.now):
             raise RuntimeError("a Gymnasium environment goes on from its last state only; reset it first")
         held, rows, n = self.over, x.shape[:-1], x.shape[:-1].numel()
-        paid, lost, over = torch.zeros(n), torch.zeros(n, dtype=torch.bool), held.reshape(-1).clone()
+        paid, over = torch.zeros(n), held.reshape(-1).clone()
+        lost, broken = torch.zeros(2, n, dtype=torch.bool)
         after, steps = self.now.reshape(n, -1).clone(), tensordict["step_count"].reshape(-1).tolist()
         low, high = self.foreign.low, self.foreign.high
         actions = u.detach().reshape(n, -1).double().numpy().clip(-1.0, 1.0)
         scaled = (low + (high - low) * 0.5 * (actions + 1.0)).astype(np.float32)
         for i in (~over).nonzero().flatten().tolist():
-            seen, paid[i], lost[i], truncated = self._next(i, scaled[i], steps[i] + 1)
+            seen, paid[i], lost[i], truncated, broken[i] = self._next(i, scaled[i], steps[i] + 1)
             after[i] = self.foreign.observed.state(torch.as_tensor(seen, dtype=self.float_type), after[i])
             over[i] = lost[i] | truncated
         self.now, self.over = after.reshape(x.shape), over.reshape(rows)
         clipped = ((self.now <= self.foreign.ends[0]) | (self.now >= self.foreign.ends[1])).any(-1)
+        clipped = clipped | broken.reshape(rows)  # no equation holds in a period that ends early, either
         out = self._moved(tensordict, self.now.unsqueeze(-2), clipped)
         out["own_reward"], out["moved"] = paid.reshape(*rows, 1), ~held.unsqueeze(-1)
         cut = self.over.unsqueeze(-1) & self.ends
@@ -401,10 +405,10 @@ class GymnasiumEnv(ControlEnv):
         out["done"] = out["truncated"].clone()
         return out
 
-    def _next(self, copy: int, action: Any, step: int) -> tuple[Any, float, bool, bool]:
-        """Return observation and reward of a step of one copy, and whether it ends or is cut short there."""
+    def _next(self, copy: int, action: Any, step: int) -> tuple[Any, float, bool, bool, bool]:
+        """Return observation and reward of a step of one copy, whether it ends or is cut short there, and within it."""
         try:
-            seen, reward, terminated, truncated, _ = self.copies.pool[copy].step(action)
+            seen, reward, terminated, truncated, info = self.copies.pool[copy].step(action)
         except ValueError as error:
             if "values to unpack" not in str(error):
                 raise
@@ -419,7 +423,8 @@ class GymnasiumEnv(ControlEnv):
                 f"env.id={self.foreign.id}: in step {step} of an episode component {place} of the observation, "
                 f"'{self.foreign.observed.names[place]}', is {seen.reshape(-1)[place]}; mend your environment"
             )
-        return seen, float(reward), bool(terminated), bool(truncated)
+        broken = info.get(MADE, self.foreign.repeat) < self.foreign.repeat
+        return seen, float(reward), bool(terminated), bool(truncated), broken
 
     def _require_rates(self) -> None:
         """Ask for none, as the equations are not known."""

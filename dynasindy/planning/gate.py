@@ -91,6 +91,8 @@ class Gate:
         self.open_below, self.close_above, self.is_open = open_below, close_above, is_open
 
     def judge(self, error: ModelError) -> bool:
-        """Update the gate with the errors on held-out real steps, and return whether it is open."""
+        """Update the gate with the errors on held-out real steps, if they are known, and return whether it is open."""
+        if math.isnan(error.reward_error):
+            return self.is_open
         self.is_open = error.reward_error <= (self.close_above if self.is_open else self.open_below)
         return self.is_open

@@ -103,6 +103,13 @@ def test_without_a_test_every_refit_stays():
     assert parts.world_model.factor == 9.0 and len(parts.world_model.seen[1]) == 80 * 5
 
 
+@pytest.mark.parametrize(("periods", "judged"), [(19, False), (20, True)])
+def test_an_episode_shorter_than_a_window_tells_nothing_of_the_model(periods, judged):
+    parts, rollout = setting(1.0, 1.0)
+    _fit(parts)
+    assert math.isfinite(refit(parts, LoopSettings(1), rollout[:periods]).error.reward_error) == judged
+
+
 @pytest.mark.parametrize("factor", [math.nan, math.inf])
 def test_a_fit_that_is_not_finite_is_told_with_the_model(factor):
     parts, _ = setting(1.0, factor)

@@ -13,9 +13,11 @@ import torch
 from gymnasium import spaces
 
 import dynasindy  # noqa: F401 (registers the environments)
+from dynasindy.dyna.recorder import ended_runs
 from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv, Step, Tracking, TrackingReward, Wave
 from dynasindy.envs.drawing import draw
 from dynasindy.envs.gym import _GymControl, _Observed, pendulum, twin_rotor
+from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.systems import Tras
 
 IDS = ["dynasindy/TwinRotor-v0", "dynasindy/Pendulum-v0"]
@@ -199,12 +201,33 @@ def test_an_environment_that_cuts_an_episode_short_is_heeded():
     assert [played.step(np.ones(2))[2:4] for _ in range(3)] == [(False, False), (False, False), (False, True)]
 
 
+class Fuse(Steps):
+    """The same, which ends an episode at 1 of x1, at an end of it."""
+
+    def step(self, action):
+        x, reward, *_ = super().step(action)
+        return x, reward, bool(x[0] >= 1), False, {}
+
+
+gymnasium.register("tests/Fuse-v0", Fuse)
+
+
+@pytest.mark.parametrize(("u", "expected"), [(-0.5, []), (-0.2, [{"x1": [-1.6, 0.62]}])])  # 0 and 0.6 a step
+def test_bounds_are_proposed_where_an_environment_ended_runs_at_the_end_of_a_state(u, expected):
+    env = environment("tests/Fuse-v0", {"x1": 0.0}, dt=0.1)
+    action = torch.tensor([u, -1.0])
+    runs = evaluate(env, lambda td: td.set("action", action.expand(*td.batch_size, 2)), Scenario("step"))
+    assert [each.values["bounds"] for each in ended_runs(runs, env.foreign)] == expected
+
+
 def test_an_action_is_held_for_the_steps_of_a_control_period_and_paid_for_all_of_them():
     env = environment("tests/Short-v0", {"x1": 0.0}, dt=0.1, repeat=2)
     stepped = env.rollout(200, lambda td: td.set("action", torch.tensor([-0.5, -0.4])), auto_reset=True)["next"]
     # -0.4 of the range from 0 to 1 is 0.3 a step: x2 is 0.6, 1.2, 1.8, and the first step of the fourth goes beyond 2.
     torch.testing.assert_close(stepped["state"][:, 1], torch.tensor([0.6, 1.2, 1.8, 2.1], dtype=torch.float64))
     assert stepped["own_reward"].flatten().tolist() == [2.0, 2.0, 2.0, 1.0]
+    ended = [False, False, False, True]  # half a period obeys no equation of a whole one
+    assert stepped["at_stop"].flatten().tolist() == ended
     with pytest.raises(ValueError, match="repeat"):
         Foreign("tests/Short-v0", repeat=0)
     pendulum = Foreign("Pendulum-v1", repeat=3)  # episodes of 200 steps of 0.05 s

@@ -1,3 +1,5 @@
+import math
+
 import pytest
 import torch
 
@@ -14,6 +16,7 @@ def test_the_gate_has_hysteresis():
     gate = Gate(open_below=0.1, close_above=0.3, is_open=True)
     decisions = [gate.judge(error) for error in errors(0.2, 0.29, 0.31, 0.2, 0.11, 0.1, 0.2)]
     assert decisions == [True, True, False, False, False, True, True]
+    assert [gate.judge(each) for each in errors(math.nan, 0.4, math.nan)] == [True, False, False]
 
 
 def test_the_true_model_has_no_error_and_another_has():
