@@ -113,6 +113,8 @@ CLEAR = 2.0
 """Standard errors by which hidden states have to be better, as the parts that were kept differ."""
 RESOLVED = 1.2
 """Times the error of a sensor up to which an error leaves nothing to be found."""
+STIFF = 100
+"""Steps of a simulation between two samples at which a model is too stiff for them."""
 LAG_STATES = 3
 """States that follow a signal that are tried, those first that regressions prefer."""
 FAILURES = ArithmeticError, ValueError, RuntimeError
@@ -514,6 +516,8 @@ class _Search:
                 moves = (fitted[-1].coefficients[:, sought] != 0).any(0)
                 if not bool(moves.all()) or not has_clear_lags(fitted[-1]):
                     return None  # what moves by nothing is no equation, what moves nothing no state
+                if fitted[-1].substeps(source.training.dt) >= STIFF:
+                    return None  # a motion that is over long before the next sample is told by none
                 errors.append(fold.errors(fitted[-1], source))
                 first = not self.tried and len(errors) == 1
                 if first and time.process_time() - self.began > FIRST_SHARE * self.refinement.seconds:
