@@ -511,11 +511,13 @@ class _Search:
                 fitted[-1].refinement = settings
                 most = self.refinement.seconds * LARGEST_SHARE / len(self.folds)
                 with self._time_limit(min(self.until, time.process_time() + most)):
-                    fitted[-1].fit(source.training.select(fold.fit_rows(settings.window)))
+                    report = fitted[-1].fit(source.training.select(fold.fit_rows(settings.window)))
                 sought = model.constraints.free.any(0)
                 moves = (fitted[-1].coefficients[:, sought] != 0).any(0)
                 if not bool(moves.all()) or not has_clear_lags(fitted[-1]):
                     return None  # what moves by nothing is no equation, what moves nothing no state
+                if any(each.code == "fit.dropped" for each in report.findings):
+                    return None  # of functions that a fit finds useless a regression tells little
                 if fitted[-1].substeps(source.training.dt) >= STIFF:
                     return None  # a motion that is over long before the next sample is told by none
                 errors.append(fold.errors(fitted[-1], source))
