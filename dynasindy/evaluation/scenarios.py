@@ -137,8 +137,10 @@ class Evaluation:
 
     @property
     def steady_periods(self) -> int:
-        """Number of control periods at its end that count as steady state."""
-        return round(self.steady_seconds / (self.seconds / len(self.time)))
+        """Number of control periods at its end that count as steady; where references jump, two thirds of a hold."""
+        still = (self.references == self.references[:, -1:]).all(-1).flip(1).long().cumprod(1).sum(1)
+        shortest = int(still[still > 1].amin()) if self.columns and bool((still > 1).any()) else len(self.time)
+        return min(round(self.steady_seconds / (self.seconds / len(self.time))), max(1, 2 * shortest // 3))
 
     @property
     def resting(self) -> Tensor:

@@ -114,6 +114,13 @@ def test_a_longer_run_that_fails_says_nothing(error):
     assert judge_tracking(ringing(0.02)[0], MATTER, rerun).away == {"theta": 1.0}
 
 
+@pytest.mark.parametrize(("late", "share"), [(1.0, 0.0), (4.0, 0.35)])  # 2.33 s of 3.33 s, 2 m of 4 m
+def test_a_square_wave_is_judged_where_its_jumps_may_have_settled(late, share):
+    sign, before = (1.0 - 2.0 * ((TIME - by).clamp_min(0) // 5 % 2) for by in (0.0, late))
+    found = judge(states(p=before), sign.reshape(1, -1, 1).expand(2, -1, 1).double())
+    assert found.share["p"] == pytest.approx(share, abs=0.02)
+
+
 def test_under_a_moving_reference_states_may_move_too_but_not_run_away():
     r = torch.sin(TIME).reshape(1, -1, 1).expand(2, -1, 1).double()
     assert not judge(states(theta=torch.sin(TIME)), r).away
