@@ -75,12 +75,12 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
     scenario, within = instantiate(cfg.scenario, _convert_="all"), cfg.evaluation.get("within", WITHIN)
     evaluating = Evaluating(scenario, cfg.evaluation.every, within, cfg.get("tensorboard", False))
     print(f"Run folder: {folder}", flush=True)
-    before = result(folder, recipe.train.episodes) is not None
+    done = result(folder, recipe.train.episodes) is not None
     kept = cfg.checkpoint.every, shlex.join([*program("train").split(), *plugins_of(cfg)])
     metrics = run(recipe, evaluating, folder, config, command_and_commit(job), *kept, cfg.finish)
-    if swept and (before or "level" in cfg):  # of an ablation its table tells
-        seconds = metrics["cost"]["wall_seconds"]
-        print(f"finished before: {folder}" if before else f"finished: {folder}, {seconds:.0f} s")
+    drawn = any((folder / "figures").glob("step_response.*"))  # the last figure; a job may have been stopped before it
+    if swept and ("level" in cfg or (done and drawn)):  # of an ablation its table tells
+        print(f"finished before: {folder}" if done else f"finished: {folder}, {metrics['cost']['wall_seconds']:.0f} s")
         return True
     from dynasindy.viz.run import draw_run  # Matplotlib, when there is something to draw
 
@@ -223,11 +223,11 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
         raise Stopped(line, getattr(stop, "signal", 2)) from stop
     thin = thin_margin(controller, model) if prediction.controlled else ()
     metrics = {"prediction": prediction.record(), "findings": records(thin), "equations": model.equations()}
-    write_json(folder / "metrics.json", metrics)
     if flown := prediction.evaluation:
         from dynasindy.viz.response import draw_evaluation
 
         draw_evaluation(flown, figures, controller_name("gradient"), tuple(cfg.formats), prediction.place)
+    write_json(folder / "metrics.json", metrics)  # last, for in a sweep it says that all is done
     say(log_report(model, prediction), *lines(thin), f"Controller: {folder / NAME}", *model.signature.own_inputs())
     if not swept:
         longer = "plans longer" if "forecast.longer_plan" in [each.code for each in prediction.findings] else ""

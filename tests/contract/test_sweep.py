@@ -34,8 +34,8 @@ def rows(folder):
 
 def test_a_job_that_fails_ends_no_sweep_and_what_is_finished_is_not_repeated(command, tmp_path):
     times = []
-    for _ in range(2):
-        done = command("train", *SWEEP, cwd=tmp_path)
+    for figures, again in ((False, False), (True, False), (True, True)):  # first as if stopped before its figures
+        done = command("train", *SWEEP, cwd=tmp_path, figures=figures)
         last = done.err.splitlines()[-1]
         assert done.code == 2 and last.startswith("error: 1 ") and "Traceback" not in done.err
         (metrics,) = (tmp_path / "runs").glob("*/*/metrics.json")
@@ -43,7 +43,8 @@ def test_a_job_that_fails_ends_no_sweep_and_what_is_finished_is_not_repeated(com
         assert "rollouts=-5" in failed.read_text() and "rollouts-4" in metrics.parent.name
         assert failed.parent.name in last
         times.append(metrics.stat().st_mtime_ns)
-    assert times[0] == times[1] and str(metrics.parent) in done.out
+        assert ("finished before" in done.out) == again and str(metrics.parent) in done.out
+    assert len(set(times)) == 1 and (metrics.parent / "figures" / "step_response.png").is_file()
 
 
 @pytest.mark.slow
