@@ -23,6 +23,7 @@ from torch.quasirandom import SobolEngine
 
 from dynasindy.envs import ControlEnv, Tracking
 from dynasindy.planning.regulator import Regulator
+from dynasindy.sindy.shooting import MOST_STEPS, substeps_for
 from dynasindy.systems.equilibria import Equilibria, find_equilibria, growth, modes
 from dynasindy.text import format_duration
 
@@ -44,14 +45,13 @@ UNTOLD = 100
 """Window where nothing tells how long what is done now matters; Pendulum-v1 is swung up by its own reward with it, and
 not with 60."""
 STEP = 1.0
-"""Largest product of a Runge-Kutta step and a mode's rate; the method itself is stable up to 2.8."""
+"""Largest product of a Runge-Kutta step and a mode's rate where `substeps_for` allows so many steps; else what is
+stable has to do, for a mode that fast is over within the period."""
 MARGIN = 0.3
 """Share by which inputs are weaker or stronger in imagined episodes. Fits to encoders miss the strength of inputs by
 some hundredths; so much beside that gives controllers a gain margin."""
 NARROW = 0.25
 """Part of an input's range below which the task lets it use little."""
-SUBSTEPS = 10
-"""Most Runge-Kutta steps; a mode that would take more is of a model that is wrong, or over within the period."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def choose_plan_settings(env: ControlEnv, rests: Equilibria | None, finest: int 
         finest: Runge-Kutta steps of the plant per control period, which then serve the model, too.
     """
     if rests is None:
-        window, substeps = min(UNTOLD, env.task.max_steps), min(finest, SUBSTEPS)
+        window, substeps = min(UNTOLD, env.task.max_steps), min(finest, MOST_STEPS)
         return PlanSettings(window, 3e-3, 400, 8, substeps, why="the task has no references")
     never = unheld(env, rests)
     if not len(rests):
@@ -118,7 +118,7 @@ def choose_plan_settings(env: ControlEnv, rests: Equilibria | None, finest: int 
     slopes = [rests.a[k][moved][:, moved] for k in places.tolist()]
     grown = max(growth(a, scale, seconds, step) for a in slopes)
     fastest = max(float(modes(a).abs().max()) for a in slopes)
-    substeps = max(1, min(math.ceil(fastest * env.dt / STEP - 1e-9), SUBSTEPS)) if step is None else 1
+    substeps = substeps_for(fastest * env.dt, STEP) if step is None else 1
     regulator, window, loop = Regulator.of(env, rests), 60, "no linear regulator holds it"
     if regulator is not None:
         slowest = regulator.slowest
