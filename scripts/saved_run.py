@@ -227,7 +227,7 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
         from dynasindy.viz.response import draw_evaluation
 
         draw_evaluation(flown, figures, controller_name("gradient"), tuple(cfg.formats), prediction.place)
-    write_json(folder / "metrics.json", metrics)  # last, for in a sweep it says that all is done
+    write_json(folder / "metrics.json", {"seed": cfg.seed, **metrics})  # last, for in a sweep it says that all is done
     say(log_report(model, prediction), *lines(thin), f"Controller: {folder / NAME}", *model.signature.own_inputs())
     if not swept:
         longer = "plans longer" if "forecast.longer_plan" in [each.code for each in prediction.findings] else ""

@@ -269,43 +269,51 @@ def sweep_table(folder: Path) -> str:
     """
     if (folder / "metrics.json").is_file():
         raise FileNotFoundError(f"{folder} is one run, not a sweep of runs; give the folder above it")
-    runs, axes = [], [0]
+    kinds, axes = dict[bool, list[dict[str, Any]]](), [0]
     for file in sorted(folder.rglob("metrics.json")):
         if (file.parent / "report.txt").is_file():  # a fit by identify.py, which flew nothing
             continue
         with reading(file):
             run = read_json(file)
-            cost, found, units = run["cost"], run["evaluation"], [*run.get("units", {"": "rad"}).values()]
-            errors, rmse = ([found[k] for k in found if k.startswith(f"{m}/")] for m in ("steady_state_error", "rmse"))
-            axes.append(len(rmse))
             # What the folders that lead to the run are named after, all but its seed and number, says its setting.
             places = (re.sub(r"^\d+(_|$)", "", part) for part in file.parent.relative_to(folder).parts)
             words = [word for part in places for word in overrides(part) if not re.match(r"seed[=_]", word)]
-            runs.append(
-                {
-                    "setting": f"`{' '.join(words) or 'default'}`",
-                    "seed": run.get("seed") or 0,
-                    "unit": f" [{' / '.join(units if len(set(units)) > 1 else units[:1])}]",
-                    "real steps (plant time)": f"{cost['real_steps']} ({format_duration(cost['plant_seconds'])})",
-                    "return, untrained": run["untrained"]["return"],
-                    "return, trained": found["return"],
-                    "steady-state error, per axis": errors,
-                    "RMSE, per axis": rmse,
-                    "wall time of a run [s]": cost["wall_seconds"],
-                }
-            )
-    if not runs:
+            row = {"setting": f"`{' '.join(words) or 'default'}`", "seed": run.get("seed") or 0, "unit": ""}
+            kinds.setdefault("prediction" in run, []).append(row)
+            if "prediction" in run:  # planned from a log, where no plant was moved
+                flights = [flight or {"share": {"": None}} for flight in run["prediction"]["flights"]]  # it ran away
+                ends = [math.inf if end is None else end for flight in flights for end in flight["share"].values()]
+                row["controlled, as predicted"] = bool(run["prediction"]["controlled"])
+                row["error at the end, of the worst axis on the worst model [% of the target range]"] = 100 * max(ends)
+                continue
+            cost, found, units = run["cost"], run["evaluation"], [*run.get("units", {"": "rad"}).values()]
+            errors, rmse = ([found[k] for k in found if k.startswith(f"{m}/")] for m in ("steady_state_error", "rmse"))
+            axes.append(len(rmse))
+            row |= {
+                "unit": f" [{' / '.join(units if len(set(units)) > 1 else units[:1])}]",
+                "real steps (plant time)": f"{cost['real_steps']} ({format_duration(cost['plant_seconds'])})",
+                "return, untrained": run["untrained"]["return"],
+                "return, trained": found["return"],
+                "steady-state error, per axis": errors,
+                "RMSE, per axis": rmse,
+                "wall time of a run [s]": cost["wall_seconds"],
+            }
+    if not kinds:
         raise FileNotFoundError(f"{folder} holds no finished run; give the folder of a sweep, which it prints")
+    text = [OVER_SEEDS, f"{ORDER} {AXES}" if max(axes) > 1 else ORDER]
     with reading(folder):  # whose runs may not have the same figures
-        table = pd.DataFrame(runs)
-        shared = table["unit"].nunique() == 1  # plants may differ in them
-        # By their folders, the tenth job is before the ninth.
-        groups = table.sort_values(["setting", "seed"], kind="stable").groupby("setting", sort=False)
-        columns = [name for name in table if name not in ("setting", "seed", "unit")]
-        of_axes = {name: table["unit"][0] if shared and name.endswith("per axis") else "" for name in columns}
-        rows = [[str(key), str(len(of)), *(_figure(of, name, not shared) for name in columns)] for key, of in groups]
-        text = markdown(["setting", "seeds", *(name + of_axes[name] for name in columns)], rows)
-        return "\n".join([OVER_SEEDS, f"{ORDER} {AXES}" if max(axes) > 1 else ORDER, "", text])
+        for runs in kinds.values():
+            table = pd.DataFrame(runs)
+            shared = table["unit"].nunique() == 1  # plants may differ in them
+            # By their folders, the tenth job is before the ninth.
+            groups = table.sort_values(["setting", "seed"], kind="stable").groupby("setting", sort=False)
+            columns = [name for name in table if name not in ("setting", "seed", "unit")]
+            of_axes = {name: table["unit"][0] if shared and name.endswith("per axis") else "" for name in columns}
+            rows = [
+                [str(key), str(len(of)), *(_figure(of, name, not shared) for name in columns)] for key, of in groups
+            ]
+            text += ["", markdown(["setting", "seeds", *(name + of_axes[name] for name in columns)], rows)]
+    return "\n".join(text)
 
 
 def _figure(runs: pd.DataFrame, name: str, with_unit: bool) -> str:
@@ -313,6 +321,8 @@ def _figure(runs: pd.DataFrame, name: str, with_unit: bool) -> str:
     values = runs[name].tolist()
     if isinstance(values[0], str):
         return values[0]
+    if isinstance(values[0], bool):
+        return f"{sum(values)} of {len(values)}"
     if not isinstance(values[0], list):
         return _finite(values)
     cells = " / ".join(_finite(axis) for axis in zip(*values, strict=True))

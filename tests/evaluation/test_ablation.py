@@ -254,6 +254,19 @@ def test_a_fit_beside_the_runs_is_no_row(tmp_path):
     assert len(rows_of(tmp_path)) == 1
 
 
+def test_plans_from_logs_have_a_table_of_what_is_predicted(tmp_path):
+    for seed, flights in enumerate(([{"share": {"a": 0.02, "b": 0.5}}, {"share": {"a": 0.1, "b": 0.3}}], [None])):
+        (run := tmp_path / f"{seed}_seed-{seed}").mkdir()
+        record = {"seed": seed, "prediction": {"controlled": seed == 0, "flights": flights}}
+        (run / "metrics.json").write_text(json.dumps(record))
+    (row,) = rows_of(tmp_path)
+    assert row == "| `default` | 2 | 1 of 2 | not finite in 1 of 2 |"
+    (run / "metrics.json").unlink()
+    write(tmp_path, "2_on=plant", 4.0)  # which has a table of its own
+    assert [row for row in rows_of(tmp_path) if "| 1 of 1 | 50 |" in row]
+    assert "`on=plant` | 1 | 600" in sweep_table(tmp_path)
+
+
 def test_each_cell_of_a_sweep_is_that_of_its_column(tmp_path):
     for seed in range(2):
         run = tmp_path / f"{seed}_planning-dyna__seed-{seed}"
