@@ -146,15 +146,9 @@ def simulate(
             state.
         Diverged: The plant moves to no number.
     """
-    mine, own = controller.signature, plant.signature
-    if (mine.state_names, mine.n_u) != (own.state_names, own.n_u):
-        raise ValueError(
-            f"the plant has the states {', '.join(own.state_names)} and {own.n_u} inputs, the controller "
-            f"{', '.join(mine.state_names)} and {mine.n_u}; give a plant or a model with those of the controller"
-        )
     rows, task = _rows(targets, controller.outputs), controller.setup.task
     if start is not None:
-        task = task.with_starts(mine.start_ranges(dict(start), "start")[:1].double())
+        task = task.with_starts(controller.signature.start_ranges(dict(start), "start")[:1].double())
     env, policy = closed_loop(controller, plant, task)
     env.delay = float(getattr(plant, "delay", 0.0))
     scenario = Scenario("simulation", Step(rows), len(rows), seconds, seed=seed)

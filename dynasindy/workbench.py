@@ -216,7 +216,7 @@ def forecast(
         Flights of the controller on each model, and their errors.
 
     Raises:
-        ValueError: The log is of another plant, or the task is one without a range of targets and no scenario is given.
+        ValueError: Log or model are of another plant, or the task has no range of targets and no scenario is given.
     """
     setup = controller.setup
     if scenario is None:  # steps over the whole range of the task, as long as its episodes
@@ -265,7 +265,16 @@ def closed_loop(
 
     Returns:
         Environment, and policy with its integral action.
+
+    Raises:
+        ValueError: The plant has other states or inputs.
     """
+    mine, own = controller.signature, system.signature
+    if (mine.state_names, mine.n_u) != (own.state_names, own.n_u):
+        raise ValueError(
+            f"the plant has the states {', '.join(own.state_names)} and {own.n_u} inputs, the controller "
+            f"{', '.join(mine.state_names)} and {mine.n_u}; give a plant or a model with those of the controller"
+        )
     setup, policy = controller.setup, controller.policy
     if controller.integral is not None:
         policy = IntegralAction(policy, setup, **controller.integral)

@@ -119,10 +119,12 @@ def test_an_excitation_takes_another_signal_and_sensors():
     assert 0.005 < float((seen.training.x - plain.training.x)[:, 0].std()) < 0.02
 
 
-def test_from_an_excitation_to_a_closed_loop_behind_sensors(log):
+def test_from_an_excitation_to_a_closed_loop_behind_sensors(log, controller):
     model = dynasindy.identify(log)
     assert str(model).splitlines() == model.equations() and len(repr(model).splitlines()) == 1
     np.testing.assert_allclose(model(torch.tensor([0.3, 0.1]), torch.tensor([0.2])), [0.1, -0.549], atol=5e-3)
+    with pytest.raises(ValueError, match=r"theta, Omega and 1 .*alpha_a, alpha_p"):
+        dynasindy.forecast(controller, model, log)
     controller = dynasindy.plan(model, {"theta": (-0.5, 0.5)}, updates=40)
     on_model, on_plant = (dynasindy.simulate(controller, each, {"theta": 0.3}, 5) for each in (model, Pendulum()))
     np.testing.assert_allclose(on_model.states, on_plant.states, atol=1e-3)
