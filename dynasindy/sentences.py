@@ -379,6 +379,7 @@ _VARIED = "try <planning.gain_range=0.5>, by which training varies its inputs mo
 _CAREFUL = f"{_GENTLE}. On any plant, {_VARIED}"
 REMEDIES = {
     "check.stability": "Narrow the targets by low= and high=, or excite the plant near these targets and train anew",
+    "check.undamped": "Track it as well, by its name in <plant.outputs>",
     **dict.fromkeys((f"check.{kind}_margin" for kind in ("gain", "phase", "delay", "disk")), _CAREFUL),
     "check.gain_reduction": _CAREFUL,
     "check.noise": f"{_GENTLE}, or mend the sensor",
@@ -607,6 +608,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "record longer, and let every input change often and by much",
     # the check of a controller
     "check.stability": lambda **facts: _stability(**facts),
+    "check.undamped": "at ({target:list}) {state} swings for ever, once in {seconds:time}; threshold: any damping",
     "check.gain_margin": _margin("{}"),
     "check.gain_reduction": _margin("1/{}"),
     "check.phase_margin": _margin("{} deg"),

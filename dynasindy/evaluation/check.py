@@ -448,7 +448,7 @@ def check_verdict(found: Check, thresholds: Thresholds | None = None) -> list[Fi
         Findings with their numbers.
     """
     limits = thresholds or Thresholds()
-    findings = [_stability(found, limits)]
+    findings = [_stability(found, limits), *_undamped(found)]
     if any(found.margins):
         findings += [*_margins(found, limits), _noise(found, limits)]
         pairs = zip(found.loop.signature.state_names, dry_friction(found.loop.model), strict=True)
@@ -508,6 +508,25 @@ def _stability(found: Check, limits: Thresholds) -> Finding:
     facts |= {"target": _target(found, k), "radius": radius, "slowest": _time_constant(radius, dt), "dt": dt}
     facts |= {"neutral": neutral}
     return note("check.stability", **facts)
+
+
+def _undamped(found: Check) -> list[Finding]:
+    """Say which state swings without ever dying out, where the loop is stable otherwise, and how long a swing takes."""
+    if not bool(found.stable.all()):
+        return []
+    k = int(np.argmax(found.rest.linear.radius))
+    values, modes = np.linalg.eig(found.rest.linear.row(k).a)
+    turning = np.flatnonzero((np.abs(values) >= 1 - NEUTRAL) & (np.abs(np.angle(values)) > TURNING))
+    if not len(turning):
+        return []
+    signature, mode = found.loop.signature, turning[0]
+    state = int((np.abs(modes[: signature.n_x, mode]) / np.array(signature.x_scale)).argmax())
+    seconds = 2 * math.pi * found.loop.dt / abs(float(np.angle(values[mode])))
+    return [weak("check.undamped", state=signature.state_names[state], seconds=seconds, target=_target(found, k))]
+
+
+TURNING = 1e-3
+"""Angle of an eigenvalue on the unit circle from which on what it belongs to swings [rad per control period]."""
 
 
 def _time_constant(radius: float, dt: float) -> float:

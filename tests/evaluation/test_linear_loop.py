@@ -229,21 +229,28 @@ def test_what_grows_by_less_than_a_flight_shows_does_not_decide(each_period, is_
     assert bool(linear._replace(a=linear.a[None]).stable.all()) is is_stable
 
 
-def test_what_neither_grows_nor_dies_out_leaves_a_loop_stable():
-    """The cart of the other tests beside a load that stays what it is, d' = 0: eigenvalues on paper, and 1."""
-    signature = Signature(("p", "v", "d"), ("m", "m/s", "N"), ("force",), (2.0, 3.0, 1.0))
-    model = SindyModel(signature, ["force", "v"], known={"p": "v"})
-    model.set_coefficients(torch.tensor([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]], dtype=torch.float64))
+@pytest.mark.parametrize("swings", [False, True])
+def test_what_neither_grows_nor_dies_out_leaves_a_loop_stable_and_is_weak_if_it_swings(swings):
+    """The cart of the other tests beside a load that stays what it is, d' = 0, or one of 2 rad/s: eigenvalues on paper.
+
+    All others have a radius of 1.
+    """
+    signature = Signature(("p", "v", "d", "e"), ("m", "m/s", "N", "N/s"), ("force",), (2.0, 3.0, 1.0, 9.0))
+    model = SindyModel(signature, ["force", "v", "d", "e"], known={"p": "v"})
+    of_load = [[0, 0, 0, -4 * swings], [0, 0, swings, 0]]
+    model.set_coefficients(torch.tensor([[0, 1, 0, 0], [1, 0, 0, 0], *of_load], dtype=torch.float64))
     task = Tracking(signature, Step([[0.0]]), ("p",), ("v",), TrackingReward((1.0,)), error_scale=0.7)
 
     def law(tensordict):
         seen = tensordict["observation"]
-        return tensordict.set("action", 2.0 * 0.7 * seen[..., 3:4] - 2.5 * 3.0 * seen[..., 1:2])
+        return tensordict.set("action", 2.0 * 0.7 * seen[..., 4:5] - 2.5 * 3.0 * seen[..., 1:2])
 
     loop = ClosedLoop(Controller(law, ControlSetup(task, 0.1, 2)), model, 0.05)
     found = check(loop, Settings((-0.5,), (0.5,), draws=0, grid=2))
-    assert bool(found.stable.all()) and abs(float(found.rest.linear.radius[0]) - 1) < 1e-8
+    assert bool(found.stable.all()) and abs(float(found.rest.linear.radius[0]) - 1) < 1e-7
     stability, *others = check_verdict(found)
+    undamped = [(each.values["state"], each.values["seconds"]) for each in others if each.code == "check.undamped"]
+    assert undamped == ([("d", pytest.approx(math.pi, rel=1e-3))] if swings else [])
     expected = np.abs(np.roots([1, -(2 - 0.01 - 0.25), 1 - 0.01 - 0.25 + 0.02])).max()
     assert (stability.severity, stability.values["neutral"]) == ("note", True)
     assert stability.values["radius"] == pytest.approx(expected, abs=1e-6)
