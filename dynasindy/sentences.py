@@ -248,7 +248,7 @@ def _identifiability(rank: int, count: int, condition: float, weakest: Mapping[s
 
 
 def _coarse_steps(apart: float | None, needed: int | None) -> str:
-    mend = "no number of steps that was tried is enough, as of a plant that jumps or explodes"
+    mend = "no number of steps that was tried is enough: the plant jumps, explodes or is too fast for <env.dt>"
     if needed is not None:
         mend = f"so give {setting('env.substeps', needed)}, or a shorter <env.dt>"
     ends = "at no number" if apart is None else f"{apart:.2g} ranges of a state elsewhere"

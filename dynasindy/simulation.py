@@ -158,7 +158,7 @@ def simulate(
 @checked
 def excite(
     plant: System,
-    duration: float = 10.0,
+    duration: float | None = None,
     amplitude: float | Sequence[float] | Array = 0.5,
     offset: float | Sequence[float] | Array = 0.0,
     dt: float = 0.01,
@@ -166,15 +166,17 @@ def excite(
     sensors: Sensors | None = None,
     signal: Callable[..., Excitation] = Multisine,
     seed: int = 0,
+    start: Mapping[str, float] | None = None,
     **settings: Any,
 ) -> Source:
     """Move a simulated plant, and return what was measured, as `read` does of a log.
 
-    Behind it the plant is moved by random held inputs for 20 s more: data that no fit sees, to judge on.
+    Behind it the plant is moved by random held inputs for 2000 samples more: data that no fit sees, to judge on. Steps
+    of the simulation are as short as the plant needs; `findings` say where none that were tried are.
 
     Args:
         plant: The plant.
-        duration: Length of the experiment [s].
+        duration: Length of the experiment [s]; 1000 samples if omitted.
         amplitude: Half range of each input, or one for all, in [-1, 1].
         offset: Mean of each input, or one for all: what holds the plant where it is to be excited.
         dt: Time between two samples [s].
@@ -183,6 +185,7 @@ def excite(
         sensors: What is measured, how finely and how noisily; all states as they are if omitted.
         signal: What moves it: `Multisine`, `Aprbs` or `Chirp` of `dynasindy.envs`, or another `Excitation`.
         seed: Seed of signal and noise.
+        start: States in which the plant begins; those that are not named are zero.
         **settings: Settings of the signal, such as `first=0.1` for a plant that may not stay by itself.
 
     Returns:
@@ -191,7 +194,7 @@ def excite(
     Raises:
         ValueError: A setting is not allowed.
     """
-    data = Simulated(dt=dt, noise=noise, sensors=sensors, seed=seed)
+    data = Simulated(dt=dt, noise=noise, sensors=sensors, seed=seed, start=None if start is None else dict(start))
     found = data.load(plant, partial(signal, duration=duration, amplitude=amplitude, offset=offset, **settings))
     return replace(found, exact=False)  # nothing is known but what was measured, as of a log
 

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from dynasindy.limits import check_memory
 from dynasindy.safe_io import checked
+from dynasindy.sentences import setting
 
 Levels = Annotated[float | Sequence[float], SkipValidation]  # arrays, too
 Share = Annotated[float, Field(gt=0, le=1)]
@@ -71,8 +72,9 @@ class Excitation(TensorDictModuleBase, ABC):
         self.seed, duration = seed, 200 * dt if duration is None else duration
         if n_u < 1 or not 0 < dt <= duration:
             raise ValueError(
-                f"excitation.duration is {duration:g} s, env.dt {dt:g} s, for {n_u} inputs; allowed are a control "
-                "period above 0, a duration of one or more, and an input or more: excite for longer, or lower env.dt"
+                f"{setting('excitation.duration')} is {duration:g} s, the control period {dt:g} s, for {n_u} inputs; "
+                "allowed are a control period above 0, a duration of one or more, and an input or more: excite for "
+                f"longer, or lower {setting('env.dt')}"
             )
         self.n_u, self.duration, self.dt = n_u, float(duration), float(dt)
         self._check_size(self.dt, 1)
@@ -147,7 +149,8 @@ class Chirp(Excitation):
         if len(band) != 2 or not 0 <= min(band) <= max(band) <= 0.5 / self.dt:
             raise ValueError(
                 f"excitation.band is {list(band)} Hz; allowed are two frequencies, from 0 to half of the control rate, "
-                f"{0.5 / self.dt:g} Hz, beyond which an input that is held is another signal: lower them, or env.dt"
+                f"{0.5 / self.dt:g} Hz, beyond which an input that is held is another signal: lower them, or "
+                f"{setting('env.dt')}"
             )
         self.start = float(band[0])
         self.stop = torch.tensor([band[1] * (1.0 if i % 2 == 0 else 0.7) for i in range(n_u)], dtype=torch.float64)

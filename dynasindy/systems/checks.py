@@ -70,7 +70,7 @@ def require_plant(system: System, begins: Callable[[torch.Size], Tensor], bounds
                     f"system {type(system).__name__} gives rates of change that are not finite, of {', '.join(bad)}, "
                     "where episodes begin; they have to be finite: mend the system or its constants"
                 )
-        x, u = _places(system, begins(torch.Size((1,)))[0], bounds)
+        x, u = sample_places(system, begins(torch.Size((1,)))[0], bounds)
         dx = _rates(system, x, u)
         turned = _rates(system, x.flip(0), u.flip(0)).flip(0)
     apart, largest = (of.nan_to_num(0.0, 0.0, 0.0).abs().amax(0) for of in (dx - turned, dx))
@@ -102,7 +102,7 @@ def require_plant(system: System, begins: Callable[[torch.Size], Tensor], bounds
     )
 
 
-def _places(system: System, begin: Tensor, bounds: Tensor | None) -> tuple[Tensor, Tensor]:
+def sample_places(system: System, begin: Tensor, bounds: Tensor | None) -> tuple[Tensor, Tensor]:
     """Return states `(N, n_x)` within the ranges of a plant and inputs `(N, n_u)`: along each state, and at random."""
     n_x, n_u = system.signature.n_x, system.signature.n_u
     scale = torch.tensor(system.signature.x_scale, dtype=begin.dtype)

@@ -6,6 +6,7 @@ import pytest
 import torch
 from plants import Upright
 
+import dynasindy
 from dynasindy.dyna import simulated
 from dynasindy.envs import Aprbs, Chirp, Sensors
 from dynasindy.sindy import Refinement, Regression, SindyModel
@@ -32,7 +33,7 @@ def test_a_recording_follows_the_control_period_of_its_plant():
     # Of a lag under a held input exp(-dt / 100) of the distance is left.
     left = torch.exp(torch.tensor(-0.4 / 100.0, dtype=torch.float64))
     torch.testing.assert_close(data.x_next[:, 0], data.u[:, 0] + left * (data.x[:, 0] - data.u[:, 0]))
-    held = Aprbs(1, duration=80.0, dt=2.0, amplitude=0.28, seed=1).samples(0.4)
+    held = Aprbs(1, duration=80.0, dt=2.0, hold=20.0, amplitude=0.28, seed=1).samples(0.4)
     torch.testing.assert_close(unseen.u, held)  # levels for ten control periods
 
 
@@ -121,3 +122,11 @@ def test_a_plant_that_is_excited_as_in_training_has_the_samples_and_the_steps_th
         before, after = (torch.stack((2 * x[:, 0] - data.u[:, 0] / 2, x[:, 1]), -1) for x in (data.x, data.x_next))
         missed = (after - before @ turn).norm(dim=-1) / before.norm(dim=-1)
         torch.testing.assert_close(missed, torch.full_like(missed, substeps**-4 / 120), rtol=0.02, atol=0.0)
+
+
+def test_a_plant_is_excited_in_its_own_time_and_in_steps_that_it_needs():
+    data = dynasindy.excite(Oscillator(), dt=5.0, start={"x": 2.0}).training
+    assert len(data) == 1000 and data.x[0].tolist() == [2.0, 0.0]
+    (x, v), rest, turn = data.x.mT, data.u[:, 0] / 4, torch.tensor(10.0)
+    expected = rest + (x - rest) * turn.cos() + v / 2 * turn.sin()  # ten steps would miss it by a twelfth
+    torch.testing.assert_close(data.x_next[:, 0], expected, atol=0.01, rtol=0.0)
