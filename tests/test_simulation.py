@@ -114,7 +114,7 @@ def test_an_excitation_is_the_signal_held_on_the_plant(log):
 def test_an_excitation_takes_another_signal_and_sensors():
     plain = dynasindy.excite(Pendulum(), 2.0, np.array([0.5]), np.zeros(1), dt=0.05, signal=Aprbs)
     seen = dynasindy.excite(Pendulum(), 2.0, dt=0.05, signal=Aprbs, sensors=Sensors({"theta": Channel(noise=0.01)}))
-    torch.testing.assert_close(plain.training.u, Aprbs(1, duration=2.0, amplitude=0.5).samples(0.05))
+    torch.testing.assert_close(plain.training.u, Aprbs(1, duration=2.0, dt=0.25, amplitude=0.5).samples(0.05))
     assert seen.training.x[:, 1].isnan().all() and not plain.training.x.isnan().any()
     assert 0.005 < float((seen.training.x - plain.training.x)[:, 0].std()) < 0.02
 

@@ -25,8 +25,6 @@ from dynasindy.systems.checks import require_plant, sample_places
 from dynasindy.systems.integrators import simulate, steps_needed
 from dynasindy.systems.transitions import Transitions
 
-HOLD = 10
-"""Control periods for which an input of the validation is held, unless it is shorter."""
 SUBSTEPS = 10
 """Runge-Kutta steps between two samples, unless a plant is too fast for them."""
 VALIDATION = 400
@@ -114,7 +112,6 @@ class Simulated(DataSource):
             signal.n_u,
             duration=seconds,
             dt=period,
-            hold=min(HOLD * period, seconds),
             amplitude=(0.7 * signal.amplitude).tolist(),
             offset=signal.offset.tolist(),
             seed=self.seed + 1,

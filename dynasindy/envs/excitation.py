@@ -143,7 +143,7 @@ class Chirp(Excitation):
         ValueError: a frequency is negative or above half of the control rate, or what `Excitation` raises.
     """
 
-    def __init__(self, n_u: int, *, band: Sequence[float] | None = (0.0, 1.0), **common: Unpack[_Common]) -> None:
+    def __init__(self, n_u: int, *, band: Sequence[float] | None = None, **common: Unpack[_Common]) -> None:
         super().__init__(n_u, **common)
         band = (0.0, 0.05 / self.dt) if band is None else band
         if len(band) != 2 or not 0 <= min(band) <= max(band) <= 0.5 / self.dt:
@@ -205,7 +205,7 @@ class Aprbs(Excitation):
         **common: duration, control period, amplitude, offset and seed, see `Excitation`.
     """
 
-    def __init__(self, n_u: int, *, hold: float | None = 0.5, **common: Unpack[_Common]) -> None:
+    def __init__(self, n_u: int, *, hold: float | None = None, **common: Unpack[_Common]) -> None:
         super().__init__(n_u, **common)
         own, hold = hold, 10 * self.dt if hold is None else hold
         if not hold > 0 or (own is not None and hold > self.duration):

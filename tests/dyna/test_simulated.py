@@ -33,7 +33,7 @@ def test_a_recording_follows_the_control_period_of_its_plant():
     # Of a lag under a held input exp(-dt / 100) of the distance is left.
     left = torch.exp(torch.tensor(-0.4 / 100.0, dtype=torch.float64))
     torch.testing.assert_close(data.x_next[:, 0], data.u[:, 0] + left * (data.x[:, 0] - data.u[:, 0]))
-    held = Aprbs(1, duration=80.0, dt=2.0, hold=20.0, amplitude=0.28, seed=1).samples(0.4)
+    held = Aprbs(1, duration=80.0, dt=2.0, amplitude=0.28, seed=1).samples(0.4)
     torch.testing.assert_close(unseen.u, held)  # levels for ten control periods
 
 
