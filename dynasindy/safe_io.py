@@ -25,6 +25,8 @@ from typing import Any, BinaryIO, ParamSpec, TypeVar
 
 from pydantic import ValidationError, validate_call
 
+from dynasindy.text import did_you_mean
+
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -33,6 +35,8 @@ LARGEST = 100_000_000
 LONGEST = 200
 """Letters that a name of a file may have."""
 Row = dict[str, Any]
+MEMBER = re.compile(r"[\w-]+\[.*\]|constrained-\w+|str|int|float|bool")
+"""How pydantic calls a member of a union, in the way to a value."""
 
 
 class FileError(ValueError):
@@ -77,13 +81,20 @@ def error_text(error: BaseException, names: Sequence[str] = ()) -> str:
     """Return what an error says; of an argument that its annotation forbids, which of `names` and what is allowed."""
     if not isinstance(error, ValidationError):
         return str(error)
-    first = min(error.errors(), key=lambda each: each["type"].startswith("missing"))
+    # Of a union each member says what it wants; the one that comes deepest into the value is most likely meant.
+    first = max(error.errors(), key=lambda each: (not each["type"].startswith("missing"), len(each["loc"])))
     steps = [names[int(k)] if k in range(len(names)) else k for k in first["loc"][:1]] + [*first["loc"][1:]]
-    place, told = ".".join(map(str, steps)), first["msg"].removeprefix("Value error, ")
+    place = ".".join(str(step) for step in steps if not MEMBER.fullmatch(str(step)))
     value, owner = " ".join(str(first["input"]).split())[:40], error.title.removesuffix(".__init__")
     if first["type"].startswith("missing"):
         return f"{owner} lacks {place}; give it"
-    return f"{owner} has {place}={value}; {told}: correct it" if place else told
+    if first["type"] == "unexpected_keyword_argument" and names:
+        allowed = ", ".join(names).removeprefix("self, ")
+        return f"{owner} has {place}={value}; allowed are {allowed}{did_you_mean(place, names)}"
+    told = re.sub("^Value error, | after validation, .*", "", first["msg"]).replace("Input should be", "allowed is")
+    told = told.replace("a valid tuple", "a tuple, such as (-1, 1)")
+    mended = f"give {first['input'].__name__}()" if isinstance(first["input"], type) else "correct it"
+    return f"{owner} has {place}={value}; {told}: {mended}" if place else told
 
 
 def checked(function: Callable[P, T]) -> Callable[P, T]:

@@ -5,6 +5,7 @@ import re
 
 import pytest
 
+from dynasindy import excite
 from dynasindy.envs import Aprbs, Channel
 from dynasindy.planning import GradientPlanning
 from dynasindy.safe_io import (
@@ -20,6 +21,7 @@ from dynasindy.safe_io import (
     write_text,
 )
 from dynasindy.sindy import Refinement
+from dynasindy.systems import Pendulum
 
 
 def test_text_records_and_tables_are_read_as_they_stand(tmp_path):
@@ -153,6 +155,9 @@ def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path):
         (lambda: Refinement(rounds="x"), "rounds"),
         (lambda: Refinement(rows=3), "rows"),
         (lambda: Aprbs(1, duration="x"), "duration"),
+        (lambda: GradientPlanning(gain_rang=1), "gain_rang=1; .*'gain_range"),
+        (lambda: excite(Pendulum), "plant=.*give Pendulum"),
+        (lambda: excite(Pendulum(), noise=float("nan")), "noise=nan"),
     ],
 )
 def test_what_is_built_of_wrong_arguments_names_one_of_them_in_a_line(made, named):

@@ -417,19 +417,24 @@ class Controller:
 
     def _numbers(self, what: str, given: Values, names: Sequence[str]) -> Array:
         """Return numbers in the order of names."""
-        if isinstance(given, Mapping):
-            if unknown := [name for name in given if name not in names]:
-                allowed = self.measured if what == "measurement" else names
-                near = did_you_mean(unknown[0], list(allowed))
-                raise ValueError(f"{what} has '{unknown[0]}'; allowed are {', '.join(allowed)}{near}")
-            # NaN is a measurement that is not there; that a reference is whole is seen to later.
-            given = [float(given.get(name, 0.0 if what == "rate" else math.nan)) for name in names]
-        elif isinstance(given, Tensor):
-            given = given.detach().cpu()
-        values: Array = np.array(given, dtype=np.float64).reshape(-1)
+        if isinstance(given, Mapping) and (unknown := [name for name in given if name not in names]):
+            allowed = self.measured if what == "measurement" else names
+            near = did_you_mean(unknown[0], list(allowed))
+            raise ValueError(f"{what} has '{unknown[0]}'; allowed are {', '.join(allowed)}{near}")
+        numbers: Any = given
+        try:
+            if isinstance(given, Mapping):
+                # NaN is a measurement that is not there; that a reference is whole is seen to later.
+                numbers = [float(given.get(name, 0.0 if what == "rate" else math.nan)) for name in names]
+            elif isinstance(given, Tensor):
+                numbers = given.detach().cpu()
+            values: Array = np.array([] if numbers is None else numbers, dtype=np.float64).reshape(-1)
+        except (TypeError, ValueError):  # text, or rows of different lengths
+            values = np.array([])
         if values.size != len(names):
             by_name = ", or those that are measured by name" if what == "measurement" else ""
-            raise ValueError(f"{what} has {values.size} numbers; give one for each of {', '.join(names)}{by_name}")
+            told = f"has {values.size} numbers" if values.size else f"is {given}"
+            raise ValueError(f"{what} {told}; give a number for each of {', '.join(names)}{by_name}")
         return values
 
     def _require_finite(self, y: Array, r: Array, slope: Array) -> None:

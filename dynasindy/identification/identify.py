@@ -224,7 +224,7 @@ class Identified(LogFit):
 
 @checked
 def read(
-    path: str | Path | Iterable[str | Path],
+    path: str | Path | Iterable[Any],  # pydantic says of wrong items nothing that a user can read
     states: Mapping[str, Any] | Sequence[str] | None = None,
     inputs: Mapping[str, Any] | Sequence[str] | None = None,
     time: str = "time",

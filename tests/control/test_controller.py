@@ -192,6 +192,8 @@ def test_numbers_may_be_given_by_name():
     ("measurement", "reference", "words"),
     [
         ([0.1], [0.3], "measurement has 1"),
+        ([0.1, 0.0], ["a"], r"reference is \['a'\]; .*theta"),
+        (None, [0.3], "measurement is None; .*theta, Omega"),
         ([0.1, math.nan], [0.3], "measurement of Omega is nan"),
         ({"theta": 0.1, "speed": 0.0}, [0.3], "measurement has 'speed'"),
         ([0.1, 0.0], [math.nan], "reference of theta is nan"),
