@@ -391,7 +391,7 @@ class GradientPlanning(Planner):
                 mend = f"the actor's weights left all bounds: lower {setting('planning.lr')}, now {rate}"
             elif lost == windows:
                 mend = (
-                    f"the model explodes: add what identification.txt says it lacks to {setting('plant.library')}, "
+                    f"the model explodes: add what its findings say it lacks to {setting('plant.library')}, "
                     f"excite longer or with less noise, or shorten {setting('planning.window')}"
                 )
             raise Diverged(
