@@ -26,6 +26,7 @@ from dynasindy.envs.control_env import ControlEnv
 from dynasindy.envs.drawing import Frame, draw
 from dynasindy.envs.task import TrackingMachine
 from dynasindy.systems import Pendulum, Signature, System, Tras, Trms33, Xi
+from dynasindy.systems.base import WHOLE
 from dynasindy.systems.steps import steps_of
 from dynasindy.text import duration_unit
 
@@ -235,7 +236,9 @@ class Foreign(System):
         said = dict.fromkeys(angles or (), "rad")
         said |= {rate: "rad/s" for angle, rate in (rates or {}).items() if angle in said}
         units = [said.get(name, "-") for name in ranges] if units is None else units
-        super().__init__(Signature(tuple(ranges), tuple(units), tuple(names), tuple(scale)))
+        reach = tuple(zip(acted.low.tolist(), acted.high.tolist(), strict=True))
+        reach = reach if {*reach} != {WHOLE} else ()
+        super().__init__(Signature(tuple(ranges), tuple(units), tuple(names), tuple(scale), reach))
         self.low, self.high = acted.low, acted.high
         if strange := [name for name in stops or () if name not in ranges]:
             raise ValueError(

@@ -101,7 +101,7 @@ def _write_for(seconds: float, path: str, spring: float, said) -> None:
 
 def test_two_writers_and_a_reader_meet_whole_files_only(tmp_path):
     path, context = tmp_path / "model.json", multiprocessing.get_context("fork")
-    make_cart().save(path)
+    make_cart(spring=2.0).save(path)
     said = context.Queue()
     writers = [context.Process(target=_write_for, args=(1.5, str(path), spring, said)) for spring in (2.0, 3.0)]
     for writer in writers:
