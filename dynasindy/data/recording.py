@@ -671,7 +671,7 @@ def _actuator_ranges(
             raise LogError("log.constant_input", file=path, input=name, value=least)
         if np.isin(values, (least, most)).all():
             findings.append(weak("log.two_levels", input=name, low=least, high=most))
-        reach = _guess_range(least, most) if guess else PLAIN
+        reach = _guess_range(least, most, given.unit) if guess else PLAIN
         if given.low is not None and given.high is not None:
             reach = ActuatorScaling.of(given.low, given.high, given.rest)
             if reach != PLAIN and max(reach.low - least, most - reach.high) > ROUNDED * (reach.high - reach.low) / 2:
@@ -696,9 +696,9 @@ def _actuator_ranges(
     return list(found.values())
 
 
-def _guess_range(low: float, high: float) -> ActuatorScaling:
-    """Return what an input reaches: [-1, 1] if it stays within, else its range, with zero unless that is far off."""
-    if max(-low, high) <= 1 + ROUNDED:
+def _guess_range(low: float, high: float, unit: str) -> ActuatorScaling:
+    """Return what an input reaches: [-1, 1] of no unit if it stays within, else its range, with zero unless far off."""
+    if max(-low, high) <= 1 + ROUNDED and unit == "-":
         return PLAIN
     if min(-low, high) >= 0.8 * max(-low, high):  # as far to either side
         low, high = -max(-low, high), max(-low, high)

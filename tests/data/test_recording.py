@@ -461,13 +461,18 @@ def test_an_input_within_one_that_never_leaves_one_side_is_asked_about(tmp_path,
 @pytest.mark.parametrize(("most", "small"), [(0.04, True), (0.06, False)])
 def test_an_input_that_hardly_moved_asks_for_its_ends(tmp_path, most, small):
     """A plan would use all of -1 to 1, of which 0.08 is less than a twentieth."""
-    path = written(tmp_path / "log.csv", levels(-most, most))
+    path = written(tmp_path / "log.csv", levels(-most, most), "valve")
     found = LoggedData(path, inputs=["valve"]).recording(None)
     assert [each.severity for each in found.findings if each.code == "log.hardly_moved"] == ["weak"] * small
     if small:
         again = LoggedData(path, inputs=found.findings[1].values["inputs"]).recording(None)
         assert np.abs(again.transitions.u.numpy()).max() == pytest.approx(1.0)
         assert "log.hardly_moved" not in [each.code for each in again.findings]
+
+
+def test_an_input_with_a_unit_goes_as_far_as_its_log_though_that_is_within_one(tmp_path):
+    found = LoggedData(written(tmp_path / "log.csv", levels(-0.3, 0.3), "valve [Nm]"), inputs=["valve"]).recording(None)
+    assert found.signature.input_ends == ((-0.3, 0.3),) and "log.guessed_ends" in {f.code for f in found.findings}
 
 
 def test_ends_of_minus_one_and_one_keep_the_numbers(tmp_path):
