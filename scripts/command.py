@@ -372,7 +372,7 @@ def _quoted(text: object) -> str:
 
 
 def require_keys(config_name: str, settings: list[str]) -> list[str]:
-    """Refuse a key that the config of a command does not have, and let one of a plant be added to it."""
+    """Refuse a key that the config of a command does not have, and let one of a plant, or of its class, be added."""
     if not settings:
         return []
     folders, chosen, keys = [CONF, Path(config_dir() or CONF)], [], {}
@@ -390,20 +390,20 @@ def require_keys(config_name: str, settings: list[str]) -> list[str]:
             keys[word] = key
     whole: Any = OmegaConf.to_container(compose(config_name, chosen))
     names = [f"{group}.{name}".lstrip(".") for group, node in nodes(whole) for name in node]
-    added = []
+    added, free = [], tuple(f"{each}." for each in ("plant", "system") if isinstance(whole.get(each), dict))
     for word, key in keys.items():
         group, _, name = key.rpartition(".")
         if source := taken_from(group, whole):
             raise ValueError(f"'{key}' follows another key; give {source}.{name} instead")
         new = key not in names and word[0] not in "+~"
-        if new and not ("plant" in names and key.startswith("plant.")):
+        if new and not key.startswith(free):
             names.sort(key=lambda each: each.count("."))
             known = [each for each in names if not re.search(r"\[|(^|\.)_", each)]
             while group not in ("", *known):
                 group = group.rpartition(".")[0]
             own = [each.rpartition(".")[2] for each in known if each.rpartition(".")[0] == group]
             raise ValueError(unknown_name(key.removeprefix(f"{group}."), own, group, known))
-        added += [word] * new
+        added += [word] * (new or (word.startswith(free) and "={" in word))
     return [f"++{word}" if word in added else word for word in settings]
 
 

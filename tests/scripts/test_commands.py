@@ -144,8 +144,10 @@ def test_a_run_that_is_resumed_keeps_its_folder(words, tmp_path):
 
 
 def test_a_setting_that_no_file_of_its_plant_gives_is_added_and_no_other(words):
-    given = ["system=pendulum", "plant.bounds={theta: 2}", "plant.low=[-1]", "+plant.start={theta: 1}", "seed=1"]
-    assert words.read_words("train", given) == [given[0], "++plant.bounds={theta: 2}", *given[2:]]
+    given = ["system=pendulum", "plant.low=[-1]", "+plant.start={theta: 1}", "seed=1"]
+    # A key in a mapping is new, too; that the class of a plant has an argument is seen to when its module is imported.
+    added = ["plant.bounds={theta: 2}", "plant.known={Omega: theta}", "system.mass=2"]
+    assert words.read_words("train", [*given, *added]) == [*given, *(f"++{word}" for word in added)]
     with pytest.raises(ValueError, match=r"'plant\.low' does not exist"):
         words.read_words("export", ["plant.low=[1]"])
 
