@@ -164,20 +164,21 @@ def _in_steps(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[st
 
 
 def _of_one_kind(name: str, columns: Mapping[str, Array], units: Mapping[str, str]) -> list[str]:
-    """Return columns whose unit is the same, and whose name but for a word, and that act more than they are moved.
+    """Return columns of one unit in steps, or of one name but for a word, that act more than they are moved.
 
-    `V_yaw` beside `V_pitch` is one. An input that a controller makes of states moves in every row, and these predict
-    little of it.
+    `V_yaw [V]` beside `V_pitch [V]` is one. An input that a controller makes of states moves in every row, and these
+    predict little of it.
     """
     words = {each: re.findall(r"[^\W\d_]+|\d+", each) for each in columns}
     found = list[str]()
     for each, own in words.items():
         differ = sum(a != b for a, b in zip(own, words[name])) if len(own) == len(words[name]) > 1 else 2
-        if differ > 1 or units[each] != units[name] or _is_measured(each, units[each]):
+        in_steps = bool(units[each]) and _standing(columns[each]) > HELD
+        if (differ > 1 and not in_steps) or units[each] != units[name] or _is_measured(each, units[each]):
             continue
         others = [other for other in columns if other != each]
-        acts = max(_predicted_by(columns[each], columns[other]) for other in others)
-        if acts > 2 * max(_predicted_by(columns[other], columns[each]) for other in others):
+        acts = max((_predicted_by(columns[each], columns[other]) for other in others), default=0.0)
+        if acts > 2 * max((_predicted_by(columns[other], columns[each]) for other in others), default=0.0):
             found.append(each)
     return found
 

@@ -281,6 +281,10 @@ HELICOPTER = simulated(
     lambda x, u: (x[2], x[3], 2 * u[0] + 0.6 * u[1] - x[0] - x[2], 4 * u[1] - 0.3 * u[0] - x[3]),
     [lambda x, a=a, b=b: (a, b - 2 * x[1]) for a, b in np.random.default_rng(8).uniform(-1, 1, (50, 2)).repeat(30, 0)],
 )
+TANKS_OF_TWO = simulated(
+    lambda x, u: (2 * u[0] - u[1] - x[0], 3 * u[1] - x[1]),
+    [lambda x, a=a, b=b: (a, b) for a, b in np.random.default_rng(7).uniform(0, 9, (50, 2)).repeat(30, 0)],
+)
 LAGS = simulated(
     lambda x, u: (3 * (u[0] - x[0]), 2 * (x[0] - x[1])),
     [lambda x, a=a: (a,) for a in np.random.default_rng(9).uniform(0, 9, 50).repeat(30)],
@@ -293,11 +297,13 @@ LAGS = simulated(
         ("pitch,yaw,pitch rate,yaw rate,V_pitch [V],V_yaw [V]", HELICOPTER, ["V_pitch", "V_yaw"]),
         ("pitch,yaw,pitch rate,yaw rate,V_pitch [V],V_yaw [rad]", HELICOPTER, ["V_pitch"]),
         ("x middle,x out,x in", LAGS, ["x in"]),
+        ("warm,moist,heater [%],vent [%]", [*TANKS_OF_TWO], ["heater", "vent"]),
+        ("warm,moist,heater [%],vent [cm]", [*TANKS_OF_TWO], ["heater"]),
     ],
 )
 def test_an_input_that_a_controller_makes_of_states_is_of_a_kind_with_one_in_steps(tmp_path, names, columns, inputs):
     path, noise = tmp_path / "log.csv", np.random.default_rng(5).normal(0, 0.003, (len(columns), len(LONG)))
-    noise[-2 if "V_" in names else -1 :] = 0
+    noise[-1 if "x in" in names else -2 :] = 0
     table = np.stack([LONG, *(columns + noise * np.ptp(columns, 1, keepdims=True))], 1)
     np.savetxt(path, table, fmt="%.6f", delimiter=",", header=f"time [s],{names}", comments="")
     assert list(infer(Table.read(path))[1]) == inputs
