@@ -402,7 +402,7 @@ def check_lines(findings: Sequence[Finding]) -> list[str]:
     """
     texts, said = [], set[str]()
     for each in findings:
-        few = 3 * each.values.get("weak", math.inf) <= findings[0].values["targets"]
+        few = 3 * each.values.get("weak", math.inf) <= findings[0].values["targets"] and not each.values.get("inside")
         remedy = "" if each.severity == "note" else _NARROWER if few else REMEDIES[each.code]
         remedy = "" if remedy in said else remedy
         mark = "?" if each.values.get("known") is False else "ok" if each.severity == "note" else "WEAK"

@@ -198,7 +198,7 @@ class Check:
         """Return in words where steps begin."""
         signature = self.loop.signature
         states = zip(signature.state_names, self.begin.tolist(), signature.state_units, strict=True)
-        return ", ".join(f"{name} = {x:.3g} {unit}" for name, x, unit in states if x) or "the origin"
+        return ", ".join(f"{n} = {x:.3g} {unit}".removesuffix(" -") for n, x, unit in states if x) or "the origin"
 
 
 def check(loop: ClosedLoop, settings: Settings) -> Check:
@@ -545,11 +545,13 @@ def _margins(found: Check, limits: Thresholds) -> list[Finding]:
         "delay_margin": ([m.delay / dt for *_, m in rows], limits.delay),
         "disk_margin": ([m.disk for *_, m in rows], limits.disk),
     }
-    findings = []
+    findings, low, high = [], found.targets.amin(0), found.targets.amax(0)
+    outer = ((low < high) & ((found.targets == low) | (found.targets == high))).any(-1).tolist()
     for code, (values, limit) in kinds.items():
         k, i, _ = rows[row := int(np.argmin(values))]
         where = {"input": names[i], "target": _target(found, k), "dt": dt}
-        where["weak"] = len({row[0] for row, value in zip(rows, values, strict=True) if value < limit})
+        lacking = {row[0] for row, value in zip(rows, values, strict=True) if value < limit}
+        where |= {"weak": len(lacking), "inside": not all(outer[target] for target in lacking)}
         findings.append(_judged(code, values[row] >= limit, value=values[row], limit=limit, **where))
     return findings
 

@@ -29,7 +29,7 @@ from dynasindy.evaluation.check import (
 )
 from dynasindy.evaluation.closed_loop import ClosedLoop, LoopSimulation
 from dynasindy.evaluation.linear_loop import Margins, find_rest
-from dynasindy.sentences import REMEDIES, SENTENCES
+from dynasindy.sentences import REMEDIES, SENTENCES, check_lines
 from dynasindy.sindy import Refinement, SindyModel
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.systems import Signature
@@ -238,6 +238,15 @@ def test_the_least_margin_over_targets_decides(good, changed, name, value):
     assert {other for other in found if "margin" in other or "reduction" in other} - good_ones(found) == {name}
     values = found[name].values
     assert (values["input"], values["target"]) == ("force", [0.4]) and values["value"] == pytest.approx(value)
+
+
+def test_weak_targets_are_to_be_left_out_where_a_narrower_range_does_that():
+    found = check(make_loop(observer={}), replace(SMALL, points=7, draws=0))
+    sound = found.margins[0][0]
+    for weak, left_out in (([0], True), ([6], True), ([3], False), ([0, 3], False)):
+        margins = [[replace(sound, phase=5.0) if k in weak else sound] for k in range(7)]
+        told = check_lines(check_verdict(replace(found, margins=margins)))
+        assert [("low=" in line) for line in told if "WEAK" in line and "phase" in line] == [left_out]
 
 
 def test_the_threshold_of_the_steady_error_has_the_unit_of_its_value(good):
