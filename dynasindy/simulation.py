@@ -88,7 +88,8 @@ class Simulation:
     def __repr__(self) -> str:
         runs, worst = len(self.inputs), self.steady_error.max(0)
         errors = [
-            f"{name} {e:.2g} {unit}" for (name, unit), e in zip(self.evaluation.units.items(), worst, strict=True)
+            f"{name} {e:.2g} {unit}".removesuffix(" -")
+            for (name, unit), e in zip(self.evaluation.units.items(), worst, strict=True)
         ]
         length = f"{runs} run{'s' if runs > 1 else ''} of {format_duration(self.evaluation.seconds)}"
         return f"Simulation({length}; error at the end: {', '.join(errors)}{' at worst' if runs > 1 else ''})"

@@ -351,7 +351,7 @@ class Controller:
         signature, ends = self.signature, self.setup.task.ends
         units = [signature.state_units[i] for i in self.setup.task.outputs]
         rows = zip(self.outputs, *(ends or ((), ())), units, strict=False)
-        return [f"{name} from {low:g} to {high:g} {unit}" for name, low, high, unit in rows]
+        return [f"{name} from {low:g} to {high:g} {unit}".removesuffix(" -") for name, low, high, unit in rows]
 
     def act(self, measurement: Values, reference: Values, rate: Values | None = None) -> Array:
         """Return the inputs of the control period that begins now, `(n_u,)`, in [-1, 1].

@@ -125,7 +125,7 @@ class SensorNoise:
         """Say how large the noise of each state is."""
         signature = self.env.system.signature
         rows = zip(signature.state_names, self.std.tolist(), signature.state_units, strict=True)
-        told = ", ".join(f"{name} {value:g} {unit}" for name, value, unit in rows if value)
+        told = ", ".join(f"{name} {value:g} {unit}".removesuffix(" -") for name, value, unit in rows if value)
         return f"measured with white noise, standard deviation {told or 'nothing'}"
 
 

@@ -105,7 +105,8 @@ class Guard:
             low, high = self.ranges.get(name, (-np.inf, np.inf))
             if not low <= value <= high:
                 unit = wiring.signature.state_units[wiring.signature.state_index(name)]
-                raise Fault("range", f"{name} is {value:.6g} {unit}, outside of {low:.6g} to {high:.6g}")
+                measured = f"{name} is {value:.6g} {unit}".removesuffix(" -")
+                raise Fault("range", f"{measured}, outside of {low:.6g} to {high:.6g}")
 
 
 @dataclass(frozen=True)

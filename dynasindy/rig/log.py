@@ -129,9 +129,9 @@ class FlightRecord:
             if not np.isfinite(error):
                 told.append(f"{name} was not measured")
             elif error < step:
-                told.append(f"{name} within the sensor's step of {step:.3g} {unit}")
+                told.append(f"{name} within the sensor's step of {step:.3g} {unit}".removesuffix(" -"))
             else:
-                told.append(f"{name} to {error:.3g} {unit}")
+                told.append(f"{name} to {error:.3g} {unit}".removesuffix(" -"))
         # The last target of a flight that was cut short may hardly have been approached.
         short = f", of the {len(self.time)} periods of {self.planned} that were flown"
         flown = short if len(self.time) < self.planned else ""

@@ -336,5 +336,7 @@ def _forecast_flight(
         return "prediction: on the model this flight runs away"
     apart = (flight.outputs.double() - torch.tensor(np.array(targets, dtype=float)).unsqueeze(1)).abs()
     errors = apart[:, round((1 - LAST) * apart.shape[1]) :].mean((0, 1)).tolist()
-    told = [f"{n} to {e:.3g} {unit}" for (n, unit), e in zip(flight.units.items(), errors, strict=True)]
+    told = [
+        f"{n} to {e:.3g} {unit}".removesuffix(" -") for (n, unit), e in zip(flight.units.items(), errors, strict=True)
+    ]
     return f"prediction of the model, mean error over the last half of each target: {', '.join(told)}"

@@ -87,7 +87,7 @@ def require_plant(system: System, begins: Callable[[torch.Size], Tensor], bounds
     row = int(rows.int().argmax())
     which = ", ".join(name for name, here in zip(signature.state_names, lost[row].tolist(), strict=True) if here)
     states = zip(signature.state_names, x[row].tolist(), signature.state_units, strict=True)
-    place = [f"{name} is {value:.3g} {unit}" for name, value, unit in states]
+    place = [f"{name} is {value:.3g} {unit}".removesuffix(" -") for name, value, unit in states]
     place += [f"{name} is {value:.3g}" for name, value in zip(signature.input_names, u[row].tolist(), strict=True)]
     told = (
         f"system {type(system).__name__} gives rates of change that are not finite, of {which}, where "

@@ -246,6 +246,8 @@ def test_a_reference_far_beyond_the_targets_of_the_plan_is_warned_of_once():
         controller.act([0.0, 0.0], [900.0])
     with pytest.warns(UserWarning, match=r"-1\.01"):
         Controller(policy, env).act([0.0, 0.0], [-1.01])
+    env.task.signature = replace(env.task.signature, state_units=("-", "1/s"))
+    assert Controller(policy, env).targets_in_words() == ["theta from -0.2 to 0.6"]
 
 
 def proportional_loop():
