@@ -47,17 +47,6 @@ def test_a_job_that_fails_ends_no_sweep_and_what_is_finished_is_not_repeated(com
     assert len(set(times)) == 1 and (metrics.parent / "figures" / "step_response.png").is_file()
 
 
-@pytest.mark.slow
-def test_a_sweep_runs_a_job_for_each_setting(command, tmp_path):
-    words = ("-m", "experiment=smoke", *TINY, "planning.rollouts=0,10", "seed=0,1", "hydra.sweep.dir=sweep")
-    done = command("train", *words, cwd=tmp_path)
-    assert done.code == 0, done
-    runs = [json.loads(file.read_text()) for file in sorted((tmp_path / "sweep").glob("*/metrics.json"))]
-    imagined = sorted((run["seed"], run["cost"]["imagined_transitions"] > 0) for run in runs)
-    assert imagined == [(0, False), (0, True), (1, False), (1, True)]
-    assert len({run["evaluation"]["return"] for run in runs}) == 4
-
-
 def test_what_all_jobs_share_is_checked_before_the_first(refused, tmp_path):
     box = ("plant.outputs=[alpha_a,omega_a]", "plant.low=[-1,-1]", "plant.high=[1,1]", "plant.rates=[Omega_a]")
     assert "null" in refused("train", "-m", "seed=1,2", "system=tras", *box, cwd=tmp_path)
