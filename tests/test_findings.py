@@ -18,13 +18,8 @@ CODE = re.compile(r'"((?:log|fit|model|forecast|control|check|run|plant|excitati
 
 
 def test_every_code_has_a_sentence_and_every_sentence_a_code():
-    files = [
-        f
-        for folder in (PACKAGE, Path(__file__).parents[1] / "scripts")
-        for f in folder.rglob("*.py")
-        if f.name != "sentences.py"
-    ]
-    text = "".join(file.read_text() for file in files)
+    files = [*PACKAGE.rglob("*.py"), *(Path(__file__).parents[1] / "scripts").rglob("*.py")]
+    text = "".join(file.read_text() for file in files if file.name != "sentences.py")
     made = re.findall(r'(?:note|weak|wrong|Error)\)?\(\s*"([a-z_]+\.[a-z_]+)"', text)
     assert {*made} <= {*SENTENCES} and len(made) > 60
     assert [c for c in SENTENCES if c not in CODE.findall(text) and f'"{c.partition(".")[2]}"' not in text] == []

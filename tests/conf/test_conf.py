@@ -12,6 +12,7 @@ from configs import CONF, composed
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
+from settings import require_trusted
 
 from dynasindy.dyna.excite import excite
 from dynasindy.dyna.experiment import Recipe
@@ -33,8 +34,9 @@ def build(*overrides):
 
 
 @pytest.mark.parametrize("option", sorted(set(OPTIONS) - {"system=logged", "system=black_box"}))  # without equations
-def test_every_option_is_built(option):
-    build(option)
+def test_every_option_is_built_and_admitted_in_the_folder_of_a_run(option):
+    cfg, _ = build(option)
+    require_trusted(OmegaConf.to_container(cfg, resolve=False))
 
 
 def test_the_environment_of_the_page_is_built_of_its_own_words(tmp_path):

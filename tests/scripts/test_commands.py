@@ -179,12 +179,9 @@ def unread(*arguments, cwd):
     return process.returncode, error
 
 
-def test_so_does_a_script_that_exits(tmp_path):
+def test_an_output_that_nobody_reads_ends_a_script_quietly_and_an_error_is_told(tmp_path):
     code = "import sys\nfrom cli import pipe_guard\nwith pipe_guard():\n    print('read me')\n    sys.exit(0)"
     assert unread("-c", code, cwd=tmp_path) == (141, "")
-
-
-def test_an_error_is_told_though_nobody_reads_the_output(tmp_path):
     code = "from cli import pipe_guard\nwith pipe_guard():\n    raise RuntimeError('the plant')"
     status, error = unread("-c", code, cwd=tmp_path)
     assert status == 1 and "RuntimeError: the plant" in error

@@ -122,9 +122,8 @@ def test_what_a_run_says_of_a_twin_rotor_counts_as_a_whole(saved_run) -> None:
 
 
 def test_scenarios_follow_a_plant_with_one_output_and_its_sensors(saved_run) -> None:
-    config, env = short_of(
-        composed("train", "folder=x", "system=pendulum", "env.dt=0.1", "task.max_steps=50")
-    )  # targets of -1 to 1 rad, episodes of 5 s
+    # Targets of -1 to 1 rad, episodes of 5 s.
+    config, env = short_of(composed("train", "folder=x", "system=pendulum", "env.dt=0.1", "task.max_steps=50"))
     sine, square = (saved_run.load_scenario(name, config, env) for name in ("sine", "square"))
     rows = sine.reference.sample(torch.Size(()), torch.Generator())
     torch.testing.assert_close(rows, torch.tensor([[0.0, 0.5, 0.2, 0.0, 0.0]]))
