@@ -1,6 +1,5 @@
 """Runs on a GPU, and torch code in its place on the CPU where there is none."""
 
-import json
 from dataclasses import replace
 from functools import partial
 
@@ -9,12 +8,9 @@ import torch
 from recipes import Heard, make_recipe
 
 from dynasindy.agents import TD3, DynaReplay
-from dynasindy.dyna import Stopped
 from dynasindy.dyna.experiment import LoopSettings
 from dynasindy.dyna.loop import train
-from dynasindy.dyna.run import Evaluating, run
-from dynasindy.envs import ControlEnv, Multisine, Step
-from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.envs import ControlEnv, Multisine
 from dynasindy.limits import device
 from dynasindy.planning import GradientPlanning, ImaginedReplay, NoPlanning
 from dynasindy.sindy import Regression, SindyModel
@@ -29,20 +25,6 @@ PLANNERS = {
 KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
 
 
-class Plug(Xi):
-    """A plant that is unplugged after some calls."""
-
-    left = None
-
-    def forward(self, x, u):
-        if Plug.left is not None:
-            Plug.left -= 1
-            if Plug.left == 0:
-                Plug.left = None
-                raise KeyboardInterrupt
-        return super().forward(x, u)
-
-
 class NoCode(SindyModel):
     """A model that is moved by torch code."""
 
@@ -50,9 +32,9 @@ class NoCode(SindyModel):
         return None
 
 
-def recipe(planning, where="cpu", model=SindyModel, system=Xi, **agent):
+def recipe(planning, where="cpu", model=SindyModel, **agent):
     return make_recipe(
-        system(),
+        Xi(),
         30,
         env=partial(ControlEnv, dt=0.1, substeps=2, dtype=torch.float64),
         excitation=partial(Multisine, duration=3.0),
@@ -124,37 +106,3 @@ def test_a_run_on_a_gpu_is_the_run_on_the_cpu_up_to_rounding(planning):
         assert parts.replay.model[:]["observation"].is_cuda
     assert parts.replay.real_in_order()["state"].is_cpu
     assert_close(there, trained(planning))
-
-
-@needs_gpu
-def test_a_network_on_a_gpu_answers_where_it_is_asked():
-    agent = TD3(4, 2, hidden=(8,), device="cuda")
-    x = torch.ones(3, 4)
-    here, there = agent.policy.module(x), agent.policy.module(x.cuda())
-    assert here.is_cpu and there.is_cuda
-    torch.testing.assert_close(here, there.cpu())
-
-
-def go(folder, left=None, where="cuda"):
-    Plug.left = left
-    one = recipe("dyna", where, system=Plug)
-    evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=3.0))
-    return run(one, evaluating, folder, "a: 1\n", {})
-
-
-@needs_gpu
-def test_a_run_that_was_stopped_on_a_gpu_ends_as_the_one_that_was_not(tmp_path):
-    whole = go(tmp_path / "whole")
-    with pytest.raises(Stopped):
-        go(tmp_path / "parts", left=30 * 8 * 4 + 20)  # within the first episode
-    parts = go(tmp_path / "parts")
-    assert parts["cost"]["updates"] == whole["cost"]["updates"] == 30
-    never = {name for name, value in whole["evaluation"].items() if value is None}  # such as a rise time
-    assert {name for name, value in parts["evaluation"].items() if value is None} == never
-    for name in whole["evaluation"].keys() - never:
-        assert parts["evaluation"][name] == pytest.approx(whole["evaluation"][name], rel=1e-3, nan_ok=True)
-    saved = [torch.load(tmp_path / name / "policy.pt") for name in ("whole", "parts")]
-    for name, value in saved[0].items():
-        assert value.is_cpu
-        torch.testing.assert_close(saved[1][name], value, rtol=1e-3, atol=1e-5)
-    assert json.loads((tmp_path / "parts" / "metrics.json").read_text())["cost"]["updates"] == 30
