@@ -55,7 +55,6 @@ def test_a_bad_value_of_any_part(refused, tmp_path, key, given):
         ("duration", "'excitation.duration'"),  # and not evaluation, which is spelt alike
         ("episodes", "'train.episodes' or 'scenario.episodes'"),
         ("planning.seed", "did you mean 'seed'"),
-        ("checkpoint.xyz", "every"),
     ],
 )
 def test_a_key_that_does_not_exist(refused, tmp_path, key, meant):
@@ -95,7 +94,6 @@ def test_what_is_missing_or_wrong_where_a_log_is_planned_from(refused, log, tmp_
 @pytest.mark.parametrize(
     ("name", "words", "key"),
     [
-        ("identify", ["data=csv", "data.path=FILE"], "FILE"),
         ("identify", ["sensors=bench", "data=csv", "data.path=log.csv"], "sensors"),
         ("identify", ["system=tras", "plant.library=['1',u_a,'sinh(alpha_a)']", "excitation.duration=10000"], "'sinh'"),
         ("identify", ["data=csv", "data.path=log.csv", "data.states=[a,a]"], "data.states"),
@@ -106,7 +104,6 @@ def test_what_is_missing_or_wrong_where_a_log_is_planned_from(refused, log, tmp_
         ("train", ["system=black_box"], "plant.low"),
         ("evaluate", ["run=nowhere", "scenarios=[]"], "scenarios"),
         ("evaluate", ["run=nowhere"], "nowhere"),
-        ("export", ["run=PATH"], "PATH"),
         ("report", ["results=nowhere"], "nowhere"),
         ("table", [], "folder"),
         ("ablation", ["setting=direct,oracle", "planning.updatez=3"], "'updatez'"),

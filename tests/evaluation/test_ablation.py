@@ -76,12 +76,6 @@ def test_episodes_without_an_evaluation_are_left_out(tmp_path):
     assert len(read_ablation(tmp_path / "ablation_curves.csv")) == 2
 
 
-def test_where_no_run_has_ended_nothing_is_written(tmp_path):
-    (run_folder(tmp_path / "runs", "s", 0, [0.04]) / "metrics.json").unlink()
-    assert gather(tmp_path / "runs", tmp_path / "results", LEVEL).empty
-    assert not (tmp_path / "results").exists()
-
-
 @pytest.mark.parametrize("name", ["ablation.csv", "ablation_curves.csv"])
 @pytest.mark.parametrize(
     ("text", "why"),
