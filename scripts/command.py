@@ -388,12 +388,12 @@ def require_keys(config_name: str, settings: list[str]) -> list[str]:
             chosen.append(f"{override.get_key_element()}='{first}'" if text else word)
         elif not group and not key.startswith("hydra."):
             keys[word] = key
-    whole: Any = OmegaConf.to_container(compose(config_name, chosen))
-    names = [f"{group}.{name}".lstrip(".") for group, node in nodes(whole) for name in node]
-    added, free = [], tuple(f"{each}." for each in ("plant", "system") if isinstance(whole.get(each), dict))
+    groups = dict(nodes(OmegaConf.to_container(compose(config_name, chosen))))
+    names = [f"{group}.{name}".lstrip(".") for group, node in groups.items() for name in node]
+    added, free = [], tuple(f"{each}." for each in ("plant", "system") if each in groups)
     for word, key in keys.items():
         group, _, name = key.rpartition(".")
-        if source := taken_from(group, whole):
+        if source := taken_from(group, groups[""]):
             raise ValueError(f"'{key}' follows another key; give {source}.{name} instead")
         new = key not in names and word[0] not in "+~"
         if new and not key.startswith(free):
@@ -403,7 +403,7 @@ def require_keys(config_name: str, settings: list[str]) -> list[str]:
                 group = group.rpartition(".")[0]
             own = [each.rpartition(".")[2] for each in known if each.rpartition(".")[0] == group]
             raise ValueError(unknown_name(key.removeprefix(f"{group}."), own, group, known))
-        added += [word] * (new or (word.startswith(free) and "={" in word))
+        added += [word] * (new or (word.startswith(free) and "={" in word and key in groups))
     return [f"++{word}" if word in added else word for word in settings]
 
 
