@@ -54,7 +54,7 @@ def test_tests_of_the_page_pass(extended):
 def test_the_command_that_tests_a_plant_of_ones_own_passes(extended, tmp_path):
     (words,) = re.findall(r"^    (pytest tests/systems/test_servo\.py .*)$", PAGE, re.M)
     # The tests of the configuration read the page on Gymnasium, and examples of plants.
-    for folder in ("dynasindy", "conf", "docs", "tests"):
+    for folder in ("dynasindy", "conf", "docs", "scripts", "tests"):
         ignored = shutil.ignore_patterns("__pycache__", "results", "report", "figures")
         shutil.copytree(REPOSITORY / folder, tmp_path / folder, ignore=ignored)
     shutil.copy(REPOSITORY / "pyproject.toml", tmp_path)
