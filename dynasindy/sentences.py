@@ -644,11 +644,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "excitation.stops": "the excitation reached a mechanical stop in {count} of {total} control periods; the model is "
     "fitted to the others{much:?(a smaller <excitation.amplitude>, or another <excitation.offset>, leaves more)}",
-    "run.ended": lambda bounds, **facts: _fill(
-        "the environment itself ended {runs} of {total} runs; a plan keeps away from what ends them within "
-        + ("{bounds:plant.bounds}" if bounds else "<plant.bounds>"),
-        {**facts, "bounds": bounds},
-    ),
+    "run.ended": "the environment itself ended {runs} of {total} runs; a plan keeps away from what ends them within "
+    "{bounds:plant.bounds}",
     "run.better": "the trained policy is better than the untrained one{hardly:?(hardly)}: its return in scenario "
     "'{scenario}' is {trained:.6g}, the untrained policy's {untrained:.6g}",
     "run.no_better": "no usable result: the trained policy's return in scenario '{scenario}' is {trained:.6g}, the "

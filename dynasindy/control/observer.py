@@ -200,9 +200,9 @@ class Observer:
         squared = (innovation.mT @ torch.linalg.solve(spread, innovation)).squeeze(-1).squeeze(-1)
         likelihood = -0.5 * (squared + torch.linalg.slogdet(spread).logabsdet)
         mean = belief.mean + (gain @ innovation).squeeze(-1)
-        sound = (mean.abs() <= FAR * self.scale).all(-1, keepdim=True) & covariance.isfinite().all((-2, -1)).unsqueeze(
-            -1
-        )
+        # What a measurement confirms may be far away, as a wheel that was turned long.
+        near = mean.isfinite() & (seen | (mean.abs() <= FAR * self.scale))
+        sound = (near.all(-1) & covariance.isfinite().all((-2, -1))).unsqueeze(-1)
         mean = torch.where(sound, mean, begun.mean)
         covariance = torch.where(sound.unsqueeze(-1), covariance, begun.covariance)
         return Belief(mean, covariance), squared / seen.sum(-1), likelihood

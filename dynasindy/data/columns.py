@@ -173,12 +173,14 @@ def _of_one_kind(name: str, columns: Mapping[str, Array], units: Mapping[str, st
     found = list[str]()
     for each, own in words.items():
         differ = sum(a != b for a, b in zip(own, words[name])) if len(own) == len(words[name]) > 1 else 2
-        in_steps = bool(units[each]) and _standing(columns[each]) > HELD
+        in_steps, moves = bool(units[each]) and _standing(columns[each]) > HELD, np.abs(np.diff(columns[each]))
         if (differ > 1 and not in_steps) or units[each] != units[name] or _is_measured(each, units[each]):
             continue
         others = [other for other in columns if other != each]
         acts = max((_predicted_by(columns[each], columns[other]) for other in others), default=0.0)
-        if acts > 2 * max((_predicted_by(columns[other], columns[each]) for other in others), default=0.0):
+        moved = max((_predicted_by(columns[other], columns[each]) for other in others), default=0.0)
+        # No state jumps, however noisy it is.
+        if acts > 2 * moved and moves.max() > JUMP * np.quantile(moves, 0.95):
             found.append(each)
     return found
 
@@ -194,9 +196,9 @@ def infer(
 
     Inputs, unless they are named, are called u, u1, u_..., or input..., and where none is, cmd or command; where none
     is either, as an actuator, such as a torque, and move others, or they are the columns that move in steps while all
-    others move in most rows. What differs in the number at its end alone is of one kind. References, predictions,
-    columns without any number, those that never change and those that count the rows are left out; all other columns
-    but time are states, unless they are named.
+    others move in most rows, and others of their kind. References, predictions, columns without any number, those that
+    never change and those that count the rows are left out; all other columns but time are states, unless they are
+    named.
 
     Args:
         table: the file.
@@ -441,6 +443,8 @@ FEW, WIDEST, EXACT = 5, 40, 1e-5
 which it may differ, as one of few digits does."""
 NOISE = 0.7
 """Part of its variance that no row before foretells by which a column is noise beside smooth ones."""
+JUMP = 5.0
+"""Times by which an input changes most beyond what nearly all of its changes are; of noise it is twice."""
 HELD = 0.5
 """Share of the rows with the same number as before beyond which a column moves in steps."""
 

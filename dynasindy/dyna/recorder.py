@@ -342,11 +342,14 @@ def ended_runs(evaluation: Evaluation, system: System) -> list[Finding]:
     if moved is None or ends is None or not bool((over := ~moved[:, -1, 0]).any()):
         return []
     last = evaluation.trajectory["next", "state"][over, -1]
-    at = ((last <= ends[0]) | (last >= ends[1])).any(0) & ends.isfinite().all(0)
+    steps = moved[over].sum((1, 2)) - 1
+    first = evaluation.trajectory["state"][over, steps]  # where the last period began
+    at, was = (((x <= ends[0]) | (x >= ends[1])) for x in (last, first))
+    at = (at & ~was).any(0) & ends.isfinite().all(0)
     inner = ends.mean(0) + INSIDE * (ends - ends.mean(0))
     sides = zip(system.signature.state_names, inner.mT.tolist(), at.tolist(), strict=True)
     reached = {name: [float(f"{end:.2g}") for end in both] for name, both, reaches in sides if reaches}
-    return [weak("run.ended", runs=int(over.sum()), total=len(over), bounds=reached)]
+    return [weak("run.ended", runs=int(over.sum()), total=len(over), bounds=reached)] if reached else []
 
 
 INSIDE = 0.75
@@ -386,7 +389,7 @@ def judge_run(
         compared = wrong("run.no_better", **facts, episodes=bool(metrics.get("episodes", 1)))
     controlled, tracked = judge_control([TrackingCriteria(**metrics["held"])], within, grew=usable)
     findings = [compared, tracked]
-    if closed := [row for row in decisions if not row["open"]]:
+    if closed := [row for row in decisions if not row["open"] and row["judged_reward_error"] is not None]:
         last = {key: _number(value) for key, value in closed[-1].items()}
         counts = {"closed": len(closed), "episodes": len(decisions), "episode": int(last["episode"])}
         limits = {key: last[key] for key in ("open_below", "close_above")}

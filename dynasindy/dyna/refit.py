@@ -34,7 +34,7 @@ class Refit:
         error_after: That of the refitted model.
         kept: Whether the refitted model stays.
         error: Held-out errors of the model that stays; of the earlier model on the whole episode if none is held out,
-            and NaN of one that is shorter than a window.
+            and NaN where there is no whole period.
     """
 
     report: object
@@ -95,9 +95,11 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
     """
     starts = _held_out_windows(rollout.numel(), WINDOW, settings.held_out)
     if not len(starts):
-        unseen = replay_error(parts.model_env, rollout)
-        if rollout.numel() < WINDOW:  # a single period, as one in which an environment ends, tells nothing of a model
-            unseen = replace(unseen, reward_error=torch.nan, state_error=torch.nan)
+        # A period in which an environment ends at a stop is broken off, and no equation holds in it.
+        broken = rollout.numel() < parts.plant.task.max_steps and bool(rollout["next", "at_stop"][-1].any())
+        whole = rollout[: rollout.numel() - broken]
+        unseen = ModelError(torch.nan, torch.nan, whole["state"])
+        unseen = replay_error(parts.model_env, whole) if len(whole) else unseen
         return Refit(first_fit(parts, rollout), torch.nan, torch.nan, True, unseen)
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
     held_out[(starts.unsqueeze(-1) + torch.arange(WINDOW)).flatten()] = True

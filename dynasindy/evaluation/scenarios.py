@@ -138,9 +138,11 @@ class Evaluation:
     @property
     def steady_periods(self) -> int:
         """Number of control periods at its end that count as steady; where references jump, two thirds of a hold."""
-        still = (self.references == self.references[:, -1:]).all(-1).flip(1).long().cumprod(1).sum(1)
-        shortest = int(still[still > 1].amin()) if self.columns and bool((still > 1).any()) else len(self.time)
-        return min(round(self.steady_seconds / (self.seconds / len(self.time))), max(1, 2 * shortest // 3))
+        usual = round(self.steady_seconds / (self.seconds / len(self.time)))
+        jumps = (self.references.diff(dim=1) != 0).any(-1)
+        ends = [[-1, *row.nonzero().flatten().tolist(), len(self.time) - 1] for row in jumps]
+        longest = max((b - a for row in ends for a, b in pairwise(row)), default=usual)
+        return min(usual, 2 * longest // 3) if 2 * longest > usual else usual  # of a wave none is held
 
     @property
     def resting(self) -> Tensor:

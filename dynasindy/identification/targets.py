@@ -91,9 +91,9 @@ def _usual(source: Source, name: str) -> tuple[float, float]:
     if high - low <= turn:
         return low, high
     column = column[~column.isnan()]
-    least, most = float(column.min()), float(column.max())
+    least, most = column.quantile(torch.tensor([0.01, 0.99], dtype=column.dtype)).tolist()  # but for lost samples
     zero = 0.0 if least <= 0 <= most else turn * round(float(column[0]) / turn)
-    middle = min(max(zero, least + turn / 2), most - turn / 2)
+    middle = min(max(zero, float(column.min()) + turn / 2), float(column.max()) - turn / 2)
     return middle - turn / 2, middle + turn / 2
 
 

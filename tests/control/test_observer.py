@@ -264,6 +264,15 @@ def test_a_plant_that_is_truly_far_away_is_believed_from_its_second_sample():
     assert (means - x)[20, 0].abs() < 0.2 and (means - x)[22, 0] == pytest.approx(60.0, abs=5.0)
 
 
+def test_a_place_that_a_measurement_confirms_may_be_thousands_of_ranges_away():
+    ours, (y, _, _) = observer(), logged(60)
+    far = 3000.0 * float(ours.scale[0])
+    belief, y = ours.begin(y[0]), y[1].clone()
+    belief.mean[0], y[0] = far, far + 0.01
+    after = ours.correct(belief, y)[0]
+    assert float(after.mean[0]) == pytest.approx(far, abs=0.02)
+
+
 def test_a_model_that_explodes_costs_no_estimate():
     ours = observer()
     ours.model.forward = lambda x, u: torch.full_like(x, torch.inf)

@@ -103,11 +103,14 @@ def test_without_a_test_every_refit_stays():
     assert parts.world_model.factor == 9.0 and len(parts.world_model.seen[1]) == 80 * 5
 
 
-@pytest.mark.parametrize(("periods", "judged"), [(19, False), (20, True)])
-def test_an_episode_shorter_than_a_window_tells_nothing_of_the_model(periods, judged):
+@pytest.mark.parametrize(("periods", "at_stop", "judged"), [(1, False, 1), (1, True, 0), (9, True, 8), (9, False, 9)])
+def test_a_period_in_which_a_short_episode_ends_at_a_stop_tells_nothing_of_the_model(periods, at_stop, judged):
     parts, rollout = setting(1.0, 1.0)
     _fit(parts)
-    assert math.isfinite(refit(parts, LoopSettings(1), rollout[:periods]).error.reward_error) == judged
+    rollout = rollout[:periods].clone()
+    rollout["next", "at_stop"][-1] = at_stop
+    expected = replay_error(parts.model_env, rollout[:judged]).reward_error if judged else math.nan
+    assert refit(parts, LoopSettings(1), rollout).error.reward_error == pytest.approx(expected, nan_ok=True)
 
 
 @pytest.mark.parametrize("factor", [math.nan, math.inf])

@@ -87,10 +87,10 @@ static void advance({{ name }}_state *s)
 static void correct({{ name }}_state *s, const double y[NX])
 {
     double gain[N], row[N];
-    int seen[M], i, j, k, sound = 1;
+    int seen[M], confirmed[N] = { 0 }, i, j, k, sound = 1;
     for (i = 0; i < M; i++) {
         const double off = y[sensed[i]] - s->x[sensed[i]], own = s->p[sensed[i]][sensed[i]] + variance[i];
-        seen[i] = off * off <= {{ (far * far) | number }} * (own < narrowest[i] ? narrowest[i] : own);
+        confirmed[sensed[i]] = seen[i] = off * off <= {{ (far * far) | number }} * (own < narrowest[i] ? narrowest[i] : own);
     }
     for (i = 0; i < M; i++) {
         const int c = sensed[i];
@@ -112,7 +112,7 @@ static void correct({{ name }}_state *s, const double y[NX])
         if (!seen[i] && isfinite(y[sensed[i]]))
             s->p[sensed[i]][sensed[i]] += unknown[sensed[i]];
     for (i = 0; i < N; i++) {
-        sound = sound && fabs(s->x[i]) <= farthest[i];
+        sound = sound && isfinite(s->x[i]) && (confirmed[i] || fabs(s->x[i]) <= farthest[i]);
         for (j = 0; j < N; j++)
             sound = sound && isfinite(s->p[i][j]);
     }
