@@ -180,7 +180,7 @@ def excite(
         duration: Length of the experiment [s]; 1000 samples if omitted.
         amplitude: Half range of each input, or one for all, in [-1, 1].
         offset: Mean of each input, or one for all: what holds the plant where it is to be excited.
-        dt: Time between two samples [s].
+        dt: Time between two samples [s]; inputs are held for five of them.
         noise: Standard deviation of white noise of the measurements: one number, relative to that of each state, or by
             the name of a state in its unit.
         sensors: What is measured, how finely and how noisily; all states as they are if omitted.

@@ -53,7 +53,7 @@ from dynasindy.sindy.named_libraries import PLACE, LibraryBuilder, auto, auto_ri
 from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
 from dynasindy.sindy.refinement import FARTHER, TELLING, Refinement
 from dynasindy.sindy.regression import SAMPLES_EACH, Rows, fit_supported
-from dynasindy.sindy.shooting import CHOSEN_STRETCHES, choose_stretches
+from dynasindy.sindy.shooting import CHOSEN_STRETCHES, MOST_STEPS, choose_stretches
 from dynasindy.sindy.world_model import variance
 from dynasindy.systems.base import TURNS
 from dynasindy.systems.transitions import Transitions
@@ -113,8 +113,8 @@ CLEAR = 2.0
 """Standard errors by which hidden states have to be better, as the parts that were kept differ."""
 RESOLVED = 1.2
 """Times the error of a sensor up to which an error leaves nothing to be found."""
-STIFF = 100
-"""Steps of a simulation between two samples at which a model is too stiff for them."""
+STIFF = 10 * MOST_STEPS
+"""Steps of a simulation between two samples, the most that there are, at which a model is too stiff for them."""
 LAG_STATES = 3
 """States that follow a signal that are tried, those first that regressions prefer."""
 FAILURES = ArithmeticError, ValueError, RuntimeError
