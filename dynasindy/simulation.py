@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from inspect import signature
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -195,6 +196,11 @@ def excite(
     Raises:
         ValueError: A setting is not allowed.
     """
+    names = [*signature(excite).parameters, "first", *signature(signal).parameters]
+    names = [name for name in dict.fromkeys(names) if name not in ("plant", "settings", "common", "n_u")]
+    for name, value in settings.items():
+        if name not in names:
+            raise ValueError(f"excite has {name}={value}; allowed are {', '.join(names)}{did_you_mean(name, names)}")
     data = Simulated(dt=dt, noise=noise, sensors=sensors, seed=seed, start=None if start is None else dict(start))
     found = data.load(plant, partial(signal, duration=duration, amplitude=amplitude, offset=offset, **settings))
     return replace(found, exact=False)  # nothing is known but what was measured, as of a log

@@ -111,6 +111,12 @@ def test_an_excitation_is_the_signal_held_on_the_plant(log):
     assert len(log.validation) == 2000
 
 
+@pytest.mark.parametrize(("wrong", "near"), [("nois", "noise"), ("harmonic", "harmonics"), ("durations", "duration")])
+def test_a_misspelt_setting_of_an_excitation_or_its_signal_is_told_the_nearest(wrong, near):
+    with pytest.raises(ValueError, match=f"excite has {wrong}=3; .*did you mean '{near}'"):
+        dynasindy.excite(Pendulum(), **{wrong: 3})
+
+
 def test_an_excitation_takes_another_signal_and_sensors():
     plain = dynasindy.excite(Pendulum(), 2.0, np.array([0.5]), np.zeros(1), dt=0.05, signal=Aprbs)
     seen = dynasindy.excite(Pendulum(), 2.0, dt=0.05, signal=Aprbs, sensors=Sensors({"theta": Channel(noise=0.01)}))
