@@ -11,7 +11,7 @@ import string
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from dynasindy.text import did_you_mean, format_duration
+from dynasindy.text import did_you_mean, format_duration, unit_suffix
 
 if TYPE_CHECKING:
     from dynasindy.findings import Finding
@@ -128,7 +128,7 @@ FORMATS: dict[str, Callable[[Any], str]] = {
     "shares": lambda shares: ", ".join(f"{100 * share:.3g} % in {name}" for name, share in shares.items()),
     "percent": lambda share: f"{100 * share:.3g} %",
     "time": format_duration,
-    "unit": lambda unit: "" if unit in ("", "-") else f" {unit}",
+    "unit": unit_suffix,
     "error": error_of,
 }
 

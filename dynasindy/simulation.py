@@ -32,7 +32,7 @@ from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.identification.source import Source
 from dynasindy.safe_io import checked
 from dynasindy.systems import System
-from dynasindy.text import did_you_mean, format_duration
+from dynasindy.text import did_you_mean, format_duration, unit_suffix
 from dynasindy.workbench import closed_loop
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ class Simulation:
     def __repr__(self) -> str:
         runs, worst = len(self.inputs), self.steady_error.max(0)
         errors = [
-            f"{name} {e:.2g} {unit}".removesuffix(" -")
+            f"{name} {e:.2g}{unit_suffix(unit)}"
             for (name, unit), e in zip(self.evaluation.units.items(), worst, strict=True)
         ]
         length = f"{runs} run{'s' if runs > 1 else ''} of {format_duration(self.evaluation.seconds)}"

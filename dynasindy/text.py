@@ -44,6 +44,11 @@ def _is_round(value: float) -> bool:
     return float(f"{value:.3g}") == float(f"{value:.6g}")
 
 
+def unit_suffix(unit: str) -> str:
+    """Return a unit as it stands behind a number, ` m/s`; nothing of a number without one, `-`."""
+    return "" if unit in ("", "-") else f" {unit}"
+
+
 def format_duration(seconds: float, longest: float | None = None, digits: int = 4, running: bool = False) -> str:
     """Return a length of time with its unit, `90 min`.
 

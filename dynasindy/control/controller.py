@@ -41,7 +41,7 @@ from dynasindy.envs import ControlEnv, Sensors, Step, Tracking, TrackingReward, 
 from dynasindy.safe_io import DamagedFileError, read_json, reading, write_json
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Stops
-from dynasindy.text import did_you_mean
+from dynasindy.text import did_you_mean, unit_suffix
 
 if TYPE_CHECKING:
     from dynasindy.control.c_code import Native
@@ -351,7 +351,7 @@ class Controller:
         signature, ends = self.signature, self.setup.task.ends
         units = [signature.state_units[i] for i in self.setup.task.outputs]
         rows = zip(self.outputs, *(ends or ((), ())), units, strict=False)
-        return [f"{name} from {low:g} to {high:g} {unit}".removesuffix(" -") for name, low, high, unit in rows]
+        return [f"{name} from {low:g} to {high:g}{unit_suffix(unit)}" for name, low, high, unit in rows]
 
     def act(self, measurement: Values, reference: Values, rate: Values | None = None) -> Array:
         """Return the inputs of the control period that begins now, `(n_u,)`, in [-1, 1].

@@ -21,6 +21,7 @@ from dynasindy.planning.margins import MOVEMENT
 from dynasindy.progress import reporting_as, track
 from dynasindy.safe_io import checked_class
 from dynasindy.sindy import SindyModel
+from dynasindy.text import unit_suffix
 
 DRAWN = 0.05
 """Largest share by which coefficients are drawn at random where the model does not tell how well it knows them."""
@@ -198,7 +199,7 @@ class Check:
         """Return in words where steps begin."""
         signature = self.loop.signature
         states = zip(signature.state_names, self.begin.tolist(), signature.state_units, strict=True)
-        return ", ".join(f"{n} = {x:.3g} {unit}".removesuffix(" -") for n, x, unit in states if x) or "the origin"
+        return ", ".join(f"{n} = {x:.3g}{unit_suffix(unit)}" for n, x, unit in states if x) or "the origin"
 
 
 def check(loop: ClosedLoop, settings: Settings) -> Check:

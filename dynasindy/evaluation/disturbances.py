@@ -16,6 +16,7 @@ from dynasindy.control.controller import Policy
 from dynasindy.envs import Channel, ControlEnv, Sensors
 from dynasindy.limits import Count
 from dynasindy.systems import Altered, Signature, System
+from dynasindy.text import unit_suffix
 
 SHARE = 1e-3
 """Noise of a state of whose sensor nothing is known [ranges of the state]."""
@@ -125,7 +126,7 @@ class SensorNoise:
         """Say how large the noise of each state is."""
         signature = self.env.system.signature
         rows = zip(signature.state_names, self.std.tolist(), signature.state_units, strict=True)
-        told = ", ".join(f"{name} {value:g} {unit}".removesuffix(" -") for name, value, unit in rows if value)
+        told = ", ".join(f"{name} {value:g}{unit_suffix(unit)}" for name, value, unit in rows if value)
         return f"measured with white noise, standard deviation {told or 'nothing'}"
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from dynasindy.rig.base import Array, Fault, Rig, RigClock, Wiring
 from dynasindy.rig.log import Log
 from dynasindy.systems.base import WHOLE, Ends
+from dynasindy.text import unit_suffix
 
 Act = Callable[[Array, float], Array]
 """What was measured `(n_x,)` and the time since the start [s], to inputs `(n_u,)` in [-1, 1]."""
@@ -105,8 +106,8 @@ class Guard:
             low, high = self.ranges.get(name, (-np.inf, np.inf))
             if not low <= value <= high:
                 unit = wiring.signature.state_units[wiring.signature.state_index(name)]
-                measured = f"{name} is {value:.6g} {unit}".removesuffix(" -")
-                raise Fault("range", f"{measured}, outside of {low:.6g} to {high:.6g}")
+                allowed = f"{low:.6g} to {high:.6g}"
+                raise Fault("range", f"{name} is {value:.6g}{unit_suffix(unit)}, outside of {allowed}")
 
 
 @dataclass(frozen=True)

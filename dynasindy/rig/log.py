@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dynasindy.identification.recording_diagnostics import sensor_resolution
 from dynasindy.rig.base import Array, Wiring
 from dynasindy.systems import Signature
+from dynasindy.text import unit_suffix
 
 
 class Log:
@@ -129,9 +130,9 @@ class FlightRecord:
             if not np.isfinite(error):
                 told.append(f"{name} was not measured")
             elif error < step:
-                told.append(f"{name} within the sensor's step of {step:.3g} {unit}".removesuffix(" -"))
+                told.append(f"{name} within the sensor's step of {step:.3g}{unit_suffix(unit)}")
             else:
-                told.append(f"{name} to {error:.3g} {unit}".removesuffix(" -"))
+                told.append(f"{name} to {error:.3g}{unit_suffix(unit)}")
         # The last target of a flight that was cut short may hardly have been approached.
         short = f", of the {len(self.time)} periods of {self.planned} that were flown"
         flown = short if len(self.time) < self.planned else ""

@@ -31,7 +31,7 @@ from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.systems import Diverged, Signature
 from dynasindy.systems.base import WHOLE
 from dynasindy.systems.transitions import Transitions
-from dynasindy.text import did_you_mean
+from dynasindy.text import did_you_mean, unit_suffix
 
 Tell = Callable[[str], None]
 WARM = 3
@@ -336,7 +336,5 @@ def _forecast_flight(
         return "prediction: on the model this flight runs away"
     apart = (flight.outputs.double() - torch.tensor(np.array(targets, dtype=float)).unsqueeze(1)).abs()
     errors = apart[:, round((1 - LAST) * apart.shape[1]) :].mean((0, 1)).tolist()
-    told = [
-        f"{n} to {e:.3g} {unit}".removesuffix(" -") for (n, unit), e in zip(flight.units.items(), errors, strict=True)
-    ]
+    told = [f"{n} to {e:.3g}{unit_suffix(unit)}" for (n, unit), e in zip(flight.units.items(), errors, strict=True)]
     return f"prediction of the model, mean error over the last half of each target: {', '.join(told)}"

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import Stops
 from dynasindy.systems.tracing import program
-from dynasindy.text import did_you_mean
+from dynasindy.text import did_you_mean, unit_suffix
 
 NAME = re.compile(r"[^\W\d][\w .'-]{0,59}")
 PRECISIONS = (torch.float32, torch.float64)
@@ -221,7 +221,7 @@ class Signature:
             ranged: Whether its range is said, too; it need not be that of a controller, which may stay within less.
         """
         limits = self.input_limits or (WHOLE,) * self.n_u
-        units = [f" {unit}" if unit != "-" else "" for unit in self.input_units or ("-",) * self.n_u]
+        units = [*map(unit_suffix, self.input_units or ("-",) * self.n_u)]
         lines = []
         for name, (low, high), unit, (least, most) in zip(
             self.input_names, self.input_ends, units, limits, strict=False

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from dynasindy.limits import raise_if_memory
 from dynasindy.systems.base import WHOLE, System
+from dynasindy.text import unit_suffix
 
 ALONG, INSIDE = 5, 32
 """Places that are tried along the range of each state, and at random within all ranges."""
@@ -87,7 +88,7 @@ def require_plant(system: System, begins: Callable[[torch.Size], Tensor], bounds
     row = int(rows.int().argmax())
     which = ", ".join(name for name, here in zip(signature.state_names, lost[row].tolist(), strict=True) if here)
     states = zip(signature.state_names, x[row].tolist(), signature.state_units, strict=True)
-    place = [f"{name} is {value:.3g} {unit}".removesuffix(" -") for name, value, unit in states]
+    place = [f"{name} is {value:.3g}{unit_suffix(unit)}" for name, value, unit in states]
     place += [f"{name} is {value:.3g}" for name, value in zip(signature.input_names, u[row].tolist(), strict=True)]
     told = (
         f"system {type(system).__name__} gives rates of change that are not finite, of {which}, where "

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from dynasindy.identification.identify import Identified
 from dynasindy.systems import Signature
 from dynasindy.systems.twin_rotor import SIGNATURE
+from dynasindy.text import unit_suffix
 from dynasindy.viz import style
 
 BEYOND = 0.6
@@ -124,7 +125,7 @@ def prediction(
         ended = np.where(np.logical_or.accumulate(lost | ~np.isfinite(ended)), np.nan, ended)
         axes[i].plot(x, _broken(truths[:, i], segment), color=style.BLACK, linewidth=1.2, label=truth)
         axes[i].plot(x, _broken(ended, segment), color=style.RED, linestyle=":", linewidth=1.8, label="predicted")
-        whole = f"{f'{wide:.0f}' if wide >= 100 else f'{wide:.3g}'} {signature.state_units[i]}".removesuffix(" -")
+        whole = (f"{wide:.0f}" if wide >= 100 else f"{wide:.3g}") + unit_suffix(signature.state_units[i])
         axes[i].set_title(_fit(truths[:, i], model[:, i], f"{whole}, {whose}"), fontsize=8.5, loc="right")
         measured = not np.isnan(truths[:, i]).all()
         if wide > 0 and (measured or bool((np.abs(np.nan_to_num(ended)) > scale).any())):
