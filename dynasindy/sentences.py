@@ -607,7 +607,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "model.uncontrolled": "in the equations that were found no input moves {outputs:list}, so nothing can be planned; "
     "record longer, and let every input change often and by much",
     # the check of a controller
-    "check.stability": lambda **facts: _stability(**facts),
+    "check.stability": _stability,
     "check.undamped": "at ({target:list}) {state} swings for ever, once in {seconds:time}; threshold: any damping",
     "check.gain_margin": _margin("{}"),
     "check.gain_reduction": _margin("1/{}"),
@@ -629,8 +629,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "come to rest a steady error of at most {error:.3g}{unit:unit} of {output}, and {ran_away} run away in the step of "
     "steps.png; threshold: stable, {limit:.3g}{unit:unit}",
     "check.recovery": "comes back from errors of up to {reach:|# times }the typical size of each state: "
-    "{shares:shares}, of {tried} each or of the smaller ones if that is less, and rests with an error of "
-    "{error:.3g}{unit:unit} of {output}; threshold: {limit:percent}",
+    "{shares:shares}, of {tried} errors each, or of the smaller of these if fewer of them come back, and rests with an "
+    "error of {error:.3g}{unit:unit} of {output}; threshold: {limit:percent}",
     # a run
     "plant.coarse_steps": _coarse_steps,
     "plant.longer_episodes": "episodes have {steps} control periods (<task.max_steps>), and the environment is "

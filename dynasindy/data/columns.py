@@ -155,7 +155,7 @@ def _in_steps(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[st
     most = 0.5 * min((standing[name] for name in found), default=0.0)
     if not found or any(share >= most for name, share in standing.items() if name not in found):
         return []
-    kind = {*_alike(found[0], units), *_of_one_kind(found[0], columns, units)}
+    kind = {*_alike(found[0], units), *_find_similar(found[0], columns, units)}
     pair = [name for name in columns if name in kind]
     if not {*found} <= kind:
         return []
@@ -163,7 +163,7 @@ def _in_steps(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[st
     return found if len(found) < len(columns) else []
 
 
-def _of_one_kind(name: str, columns: Mapping[str, Array], units: Mapping[str, str]) -> list[str]:
+def _find_similar(name: str, columns: Mapping[str, Array], units: Mapping[str, str]) -> list[str]:
     """Return columns of one unit in steps, or of one name but for a word, that act more than they are moved.
 
     `V_yaw [V]` beside `V_pitch [V]` is one. An input that a controller makes of states moves in every row, and these

@@ -37,7 +37,6 @@ from dynasindy.progress import report_progress
 from dynasindy.safe_io import replace_file, write_csv, write_json, write_text
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.delay import delay_inputs
-from dynasindy.systems import System
 from dynasindy.systems.equilibria import states_that_matter
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
@@ -252,7 +251,7 @@ class Recorder(Callback):
             large = {n: s for n, s in zip(model.signature.state_names, shares, strict=True) if not s <= UNEXPLAINED}
             unexplained = [weak("model.unexplained", shares=large)] if large else []
         thin = thin_margin(*loop) if loop and verdict.controlled else []
-        ended = ended_runs(final, plant.system) if not verdict.controlled else []
+        ended = [] if verdict.controlled else final.ended_runs(getattr(plant.system, "ends", None))
         findings = [*final.beyond_targets, *ended, *unexplained, *thin, *verdict.findings]
         metrics["verdict"] = {"usable": verdict.usable, "controlled": verdict.controlled}
         metrics["findings"] = [*self.excitation, *records(findings)]
@@ -331,29 +330,6 @@ class Recorder(Callback):
         write_csv(self.folder / "data" / f"{name}.csv", headings, torch.cat([time_column, values], -1).tolist())
 
 
-def ended_runs(evaluation: Evaluation, system: System) -> list[Finding]:
-    """Say how many runs a Gymnasium environment ended by itself, and within which bounds it may not.
-
-    Args:
-        evaluation: Runs, in which rows that end before the others stay where they ended.
-        system: The environment's; of any other nothing is said.
-    """
-    moved, ends = evaluation.trajectory["next"].get("moved", None), getattr(system, "ends", None)
-    if moved is None or ends is None or not bool((over := ~moved[:, -1, 0]).any()):
-        return []
-    last = evaluation.trajectory["next", "state"][over, -1]
-    steps = moved[over].sum((1, 2)) - 1
-    first = evaluation.trajectory["state"][over, steps]  # where the last period began
-    at, was = (((x <= ends[0]) | (x >= ends[1])) for x in (last, first))
-    at = (at & ~was).any(0) & ends.isfinite().all(0)
-    inner = ends.mean(0) + INSIDE * (ends - ends.mean(0))
-    sides = zip(system.signature.state_names, inner.mT.tolist(), at.tolist(), strict=True)
-    reached = {name: [float(f"{end:.2g}") for end in both] for name, both, reaches in sides if reaches}
-    return [weak("run.ended", runs=int(over.sum()), total=len(over), bounds=reached)] if reached else []
-
-
-INSIDE = 0.75
-"""Part of the ends of a state that bounds are proposed at, where an environment ends episodes beyond them."""
 HARDLY = 0.01
 """Gain, as a share of the untrained policy's return, below which a policy is said to be hardly better."""
 

@@ -98,8 +98,8 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
         # A period in which an environment ends at a stop is broken off, and no equation holds in it.
         broken = rollout.numel() < parts.plant.task.max_steps and bool(rollout["next", "at_stop"][-1].any())
         whole = rollout[: rollout.numel() - broken]
-        unseen = ModelError(torch.nan, torch.nan, whole["state"])
-        unseen = replay_error(parts.model_env, whole) if len(whole) else unseen
+        unknown = ModelError(torch.nan, torch.nan, whole["state"])
+        unseen = replay_error(parts.model_env, whole) if len(whole) else unknown
         return Refit(first_fit(parts, rollout), torch.nan, torch.nan, True, unseen)
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
     held_out[(starts.unsqueeze(-1) + torch.arange(WINDOW)).flatten()] = True

@@ -283,24 +283,26 @@ class Foreign(System):
         return copy if self.repeat == 1 else _Repeated(copy, self.repeat)
 
 
-MADE = "steps of a control period"
-"""What tells how many steps of an environment were made in a period, of several."""
-
-
 class _Repeated(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """An environment that makes several steps with an action, and pays what they earn together."""
+    """An environment that makes several steps with an action, and pays what they earn together.
+
+    Attributes:
+        steps: How many were made with the last action; fewer than wanted where the episode ended.
+    """
 
     def __init__(self, env: gymnasium.Env[Any, Any], repeat: int) -> None:
         super().__init__(env)
-        self.repeat = repeat
+        self.repeat, self.steps = repeat, repeat
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Return the observation after the steps, or after the one that ends the episode, and how many were made."""
-        paid, made, over = 0.0, 0, False
-        while made < self.repeat and not over:
+        """Return the observation after the steps, or after the one that ends the episode."""
+        paid = 0.0
+        for step in range(self.repeat):
             seen, reward, terminated, truncated, info = self.env.step(action)
-            paid, made, over = paid + float(reward), made + 1, terminated or truncated
-        return seen, paid, terminated, truncated, {**info, MADE: made}
+            paid, self.steps = paid + float(reward), step + 1
+            if terminated or truncated:
+                break
+        return seen, paid, terminated, truncated, info
 
 
 class GymnasiumEnv(ControlEnv):
@@ -410,8 +412,9 @@ class GymnasiumEnv(ControlEnv):
 
     def _next(self, copy: int, action: Any, step: int) -> tuple[Any, float, bool, bool, bool]:
         """Return observation and reward of a step of one copy, whether it ends or is cut short there, and within it."""
+        env = self.copies.pool[copy]
         try:
-            seen, reward, terminated, truncated, info = self.copies.pool[copy].step(action)
+            seen, reward, terminated, truncated, _ = env.step(action)
         except ValueError as error:
             if "values to unpack" not in str(error):
                 raise
@@ -426,7 +429,7 @@ class GymnasiumEnv(ControlEnv):
                 f"env.id={self.foreign.id}: in step {step} of an episode component {place} of the observation, "
                 f"'{self.foreign.observed.names[place]}', is {seen.reshape(-1)[place]}; mend your environment"
             )
-        broken = info.get(MADE, self.foreign.repeat) < self.foreign.repeat
+        broken = isinstance(env, _Repeated) and env.steps < env.repeat
         return seen, float(reward), bool(terminated), bool(truncated), broken
 
     def _require_rates(self) -> None:

@@ -513,17 +513,17 @@ def _stability(found: Check, limits: Thresholds) -> Finding:
 
 def _undamped(found: Check) -> list[Finding]:
     """Say which state swings without ever dying out, where the loop is stable otherwise, and how long a swing takes."""
-    if not bool(found.stable.all()):
-        return []
-    k = int(np.argmax(found.rest.linear.radius))
-    values, modes = np.linalg.eig(found.rest.linear.row(k).a)
-    turning = np.flatnonzero((np.abs(values) >= 1 - NEUTRAL) & (np.abs(np.angle(values)) > TURNING))
-    if not len(turning):
-        return []
-    signature, mode = found.loop.signature, turning[0]
-    state = int((np.abs(modes[: signature.n_x, mode]) / np.array(signature.x_scale)).argmax())
-    seconds = 2 * math.pi * found.loop.dt / abs(float(np.angle(values[mode])))
-    return [weak("check.undamped", state=signature.state_names[state], seconds=seconds, target=_target(found, k))]
+    signature = found.loop.signature
+    for k in range(len(found.targets) if bool(found.stable.all()) else 0):
+        values, modes = np.linalg.eig(found.rest.linear.row(k).a)
+        turning = np.flatnonzero((np.abs(values) >= 1 - NEUTRAL) & (np.abs(np.angle(values)) > TURNING))
+        if len(turning):
+            mode = turning[0]
+            state = int((np.abs(modes[: signature.n_x, mode]) / np.array(signature.x_scale)).argmax())
+            seconds = 2 * math.pi * found.loop.dt / abs(float(np.angle(values[mode])))
+            facts = {"state": signature.state_names[state], "seconds": seconds, "target": _target(found, k)}
+            return [weak("check.undamped", **facts)]
+    return []
 
 
 TURNING = 1e-3

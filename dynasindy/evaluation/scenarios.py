@@ -40,6 +40,8 @@ Policy = Callable[[TensorDictBase], TensorDictBase]
 """Reads `observation` (or `state` and `reference`) of a tensordict and writes `action`."""
 PolicyWrapper = Callable[[Policy, ControlEnv], Policy]
 Window = tuple[float, float]
+INSIDE = 0.75
+"""Part of the ends of a state that bounds are proposed at, where an environment ends runs beyond them."""
 RESTLESS = 0.02
 """Mean change of an input from one control period to the next, in the steady state, beyond which it is told [its range
 from -1 to 1 counts as 2]."""
@@ -281,6 +283,27 @@ class Evaluation:
             for name, change in zip(self.signature.input_names, changes, strict=True)
             if change > RESTLESS
         ]
+
+    def ended_runs(self, ends: Tensor | None) -> list[Finding]:
+        """Say how many runs a Gymnasium environment ended by itself, and within which bounds it may not.
+
+        Args:
+            ends: Least and largest value of each state in its observations, `(2, n_x)`; None of other plants.
+        """
+        moved = self.trajectory["next"].get("moved", None)
+        if ends is None or moved is None or not bool((over := ~moved[:, -1, 0]).any()):
+            return []
+        steps = moved[over].sum((1, 2)) - 1
+        last = (
+            self.trajectory["next", "state"][over, -1],
+            self.trajectory["state"][over, steps],
+        )  # of a period, its ends
+        at, was = ((x <= ends[0]) | (x >= ends[1]) for x in last)
+        reached = (at & ~was).any(0) & ends.isfinite().all(0)
+        inner = (ends.mean(0) + INSIDE * (ends - ends.mean(0))).mT.tolist()
+        sides = zip(self.signature.state_names, inner, reached.tolist(), strict=True)
+        bounds = {name: [float(f"{end:.2g}") for end in both] for name, both, here in sides if here}
+        return [weak("run.ended", runs=int(over.sum()), total=len(over), bounds=bounds)] if bounds else []
 
     def summary(self) -> Summary:
         """Return flat, JSON-ready figures: `return`, `stop_share` and `<metric>/<axis or input>`.

@@ -13,7 +13,6 @@ import torch
 from gymnasium import spaces
 
 import dynasindy  # noqa: F401 (registers the environments)
-from dynasindy.dyna.recorder import ended_runs
 from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv, Step, Tracking, TrackingReward, Wave
 from dynasindy.envs.drawing import draw
 from dynasindy.envs.gym import _GymControl, _Observed, pendulum, twin_rotor
@@ -217,7 +216,7 @@ def test_bounds_are_proposed_where_an_environment_ended_runs_at_the_end_of_a_sta
     env = environment("tests/Fuse-v0", {"x1": 0.0}, dt=0.1)
     action = torch.tensor([u, -1.0])
     runs = evaluate(env, lambda td: td.set("action", action.expand(*td.batch_size, 2)), Scenario("step"))
-    assert [each.values["bounds"] for each in ended_runs(runs, env.foreign)] == expected
+    assert [each.values["bounds"] for each in runs.ended_runs(env.foreign.ends)] == expected
 
 
 def test_an_action_is_held_for_the_steps_of_a_control_period_and_paid_for_all_of_them():
