@@ -115,6 +115,8 @@ RESOLVED = 1.2
 """Times the error of a sensor up to which an error leaves nothing to be found."""
 STIFF = 10 * MOST_STEPS
 """Steps of a simulation between two samples, the most that there are, at which a model is too stiff for them."""
+LINEAR = ", inputs linear between samples"
+"""How a model with such inputs is called."""
 LAG_STATES = 3
 """States that follow a signal that are tried, those first that regressions prefer."""
 FAILURES = ArithmeticError, ValueError, RuntimeError
@@ -440,7 +442,7 @@ class _Search:
         if linear:
             of = linear[0]
             source = of.source.with_linear_inputs()
-            what, models = f"{of.what}, inputs linear between samples", [_warm_started(model) for model in of.models]
+            what, models = f"{of.what}{LINEAR}", [_warm_started(model) for model in of.models]
             tried = self._fit(what, models, source, self._settings(select=False), of.structure)
             linear[0] = _better(of, tried)
         firsts = dict[tuple[str, ...], Candidate]()  # of each set of states the best one
@@ -672,10 +674,7 @@ class _Search:
 
     def _try_state_space(self, until: float) -> None:
         """Try linear equations of all states with hidden ones."""
-        for source, moving in (
-            (self.source, ""),
-            (self.source.with_linear_inputs(), ", inputs linear between samples"),
-        ):
+        for source, moving in ((self.source, ""), (self.source.with_linear_inputs(), LINEAR)):
             if self.best.score > 0:
                 parts = [source.training.select(fold.fit_rows()) for fold in self.folds]
                 begun = (state_space_candidates(self.given, part) for part in parts)
@@ -739,9 +738,8 @@ class _Search:
         """Let functions come in and go from a candidate on, at rising prices, and return the best one; None of none."""
         best: Candidate | None = None
         for penalty in PRICES:
-            found = self._again(
-                what if penalty <= 1 else f"{what}, few of them", last, replace(settings, penalty=penalty)
-            )
+            tried = what if penalty <= 1 else f"{what}, few of them"
+            found = self._again(tried, last, replace(settings, penalty=penalty))
             if found is None:
                 break
             same = found.equations == last.equations

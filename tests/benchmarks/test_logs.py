@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from benchmarks.logs import CASES, TARGETS, Case, simulate_targets
+from benchmarks.logs import CASES, TARGETS, Case, simulate_targets, write_log
 
+import dynasindy
 from dynasindy import Controller
 from dynasindy.agents.networks import actor
 from dynasindy.control.controller import ControlSetup
@@ -29,6 +30,14 @@ class Given:
 
     def act(self, y, r):
         return np.array([self.rule(y, r)])
+
+
+def test_of_functions_that_a_fit_drops_no_regression_is_left_for_the_equations_of_a_noisy_fan(tmp_path):
+    """Of single steps one was, and predicted as well within the noise: it had the fan driven by its own friction."""
+    write_log(CASES["fan"], tmp_path / "log.csv", 0)
+    model = dynasindy.identify(dynasindy.read(tmp_path / "log.csv"))
+    w, u = torch.tensor([[40.0], [90.0], [140.0]]).double(), torch.tensor([[0.3], [0.0], [-0.3]]).double()
+    torch.testing.assert_close(model(w, u), CASES["fan"].plant(w, u), atol=2.0, rtol=0.0)  # of -270 to 220 rad/s^2
 
 
 def test_a_log_holds_what_sensors_tell_and_inputs_within_their_actuators():
