@@ -238,7 +238,7 @@ def simulate(
     """
     try:
         program = _program_of(library, tuple(coefficients.flatten().tolist()))
-        return simulate_program(program, x, u, dt, substeps, u_end, update)
+        return simulate_program(program, x, u, dt, substeps, u_end, update)[0]
     except (ValueError, OSError):
         pass  # there is no compiler, or a model of too many terms
     return advance(generate(library, coefficients), x, u, dt, substeps, u_end, update)

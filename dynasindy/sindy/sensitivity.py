@@ -12,7 +12,7 @@ from torch import Tensor
 from dynasindy.sindy.codegen import Writer, advance
 from dynasindy.sindy.functions import function
 from dynasindy.sindy.library import Factor, Library
-from dynasindy.systems.interpreter import MeasurementUpdate, simulate_sensitivities
+from dynasindy.systems.interpreter import MeasurementUpdate, simulate_program
 from dynasindy.systems.steps import Rates
 
 
@@ -99,7 +99,7 @@ def trajectory_sensitivities(
     with suppress(ValueError, OSError):  # there is no compiler
         writer = _FunctionWriter(library, shapes)
         program, numbers = writer.program(), [writer.numbers.get(shape) for shape in shapes]
-        return simulate_sensitivities(program, numbers, xi, own, x, u, dt, substeps, u_end, update)
+        return simulate_program(program, x, u, dt, substeps, u_end, update, xi, numbers, own)
     fitted = torch.zeros(2, 0).long() if update is None or update.free is None else update.free
     sizes = [x.shape[1], fitted.shape[1], len(shapes), len(parameters)]
 

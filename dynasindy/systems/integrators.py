@@ -167,7 +167,7 @@ def trajectory(
         double = x.dtype == u.dtype == torch.float64
         if double and isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u[0])) is not None:
             flat = (part.flatten(1, -2).movedim(0, 1) for part in (u.unsqueeze(1), u_end.unsqueeze(1)))
-            found = simulate_program(code.program, x.reshape(-1, x.shape[-1]), next(flat), dt, substeps, next(flat))
+            found = simulate_program(code.program, x.reshape(-1, x.shape[-1]), next(flat), dt, substeps, next(flat))[0]
             return found.movedim(1, 0).reshape(*u.shape[:-1], x.shape[-1])
         for begin, end in zip(u, u_end, strict=True):
             x = moved(f, x, begin, dt, substeps, end)

@@ -24,23 +24,6 @@ WIDTH = 16
 """Rows that are handled at once."""
 
 
-def simulate_program(
-    program: Program,
-    x: Tensor,
-    u: Tensor,
-    dt: float,
-    substeps: int,
-    u_end: Tensor | None = None,
-    update: MeasurementUpdate | None = None,
-) -> Tensor:
-    """Return states at the end of each period, `(rows, T, n_x)`, before they are corrected.
-
-    Arguments and errors are those of `simulate_sensitivities`, with a program for the whole vector field.
-    """
-    units = torch.eye(program.n_x, dtype=torch.float64)
-    return simulate_sensitivities(program, None, units, None, x, u, dt, substeps, u_end, update)[0]
-
-
 class MeasurementUpdate(NamedTuple):
     """Correct predicted states by what was measured, with a constant gain (as of a stationary Kalman filter).
 
@@ -59,52 +42,54 @@ class MeasurementUpdate(NamedTuple):
         return x + (self.measured[:, period] - x).nan_to_num() @ self.gain.mT
 
 
-def simulate_sensitivities(
-    functions: Program,
-    shapes: Sequence[int | None] | None,
-    xi: Tensor,
-    parameters: tuple[Tensor, Tensor] | None,
+def simulate_program(
+    program: Program,
     x: Tensor,
     u: Tensor,
     dt: float,
     substeps: int,
     u_end: Tensor | None = None,
     update: MeasurementUpdate | None = None,
+    xi: Tensor | None = None,
+    shapes: Sequence[int | None] | None = None,
+    parameters: tuple[Tensor, Tensor] | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Advance states of a model that is sparse in functions, dx/dt = Xi' Theta(x, u), over periods that follow.
+    """Advance states over periods that follow each other, by a vector field or a model that is sparse in functions.
 
     Args:
-        functions: formulas of the functions, as a program whose results they are.
-        shapes: places among its constants of the numbers by which to differentiate, too, None of one that it lacks;
-            with None in place of both these and the parameters nothing is differentiated.
-        xi: coefficients, `(n_functions, n_x)`.
-        parameters: function and state of each coefficient by which to differentiate, `(P,)` int64 both.
+        program: formulas of the vector field; with coefficients those of the functions of dx/dt = Xi' Theta(x, u).
         x: states at the start of the first period, `(rows, n_x)` float64.
         u: inputs at the start of each period, `(rows, T, n_u)` float64.
         dt: length of a period [s].
         substeps: Runge-Kutta steps in it; a difference equation has its own.
         u_end: inputs at the end of each period, see `Transitions`.
         update: what corrects the states after each period.
+        xi: coefficients, `(n_functions, n_x)`.
+        shapes: places among the program's constants of the numbers by which to differentiate, None of one that it
+            lacks.
+        parameters: function and state of each coefficient by which to differentiate, `(P,)` int64 both; without them
+            nothing is differentiated.
 
     Returns:
-        States at the end of each period, `(rows, T, n_x)`, and their derivatives by the states x, the fitted
-        elements of the gain, the shapes and the coefficients, `(rows, T, n_x, n_x + G + S + P)`.
+        States at the end of each period, `(rows, T, n_x)`, before they are corrected, and their derivatives by the
+        states x, the fitted elements of the gain, the shapes and the coefficients, `(rows, T, n_x, n_x + G + S + P)`.
 
     Raises:
         ValueError: a formula holds something that is none, or the compiler refuses the instructions' text.
         FileNotFoundError: there is no compiler.
     """
+    xi = torch.eye(program.n_x, dtype=torch.float64) if xi is None else xi
     own_shapes = None if shapes is None else (*shapes,)
-    listing = _Listing(replace(functions, constants=(), step=None), len(functions.constants), own_shapes)
-    steps = steps_of(functions.step, dt, substeps)
-    n_x, n_shapes, (rows, periods, n_u) = functions.n_x, listing.shapes, u.shape
+    listing = _Listing(replace(program, constants=(), step=None), len(program.constants), own_shapes)
+    steps = steps_of(program.step, dt, substeps)
+    n_x, n_shapes, (rows, periods, n_u) = program.n_x, listing.shapes, u.shape
     features, states = (xi != 0).nonzero(as_tuple=True)
     rates = torch.stack([states, listing.functions[features]]).int(), xi[features, states]
     by_state, state_places = _summed(xi, listing.by_state, n_x)
     by_shape, shape_places = _summed(xi, listing.by_shape, max(n_shapes, 1))
     sums = [part for to, by in (rates, by_state, by_shape) for part in (to.shape[1], to, by)]
     sums += [part for places in (state_places, shape_places) for part in (places.shape[1], places)]
-    constants = torch.tensor([*functions.constants, *listing.numbers], dtype=torch.float64)
+    constants = torch.tensor([*program.constants, *listing.numbers], dtype=torch.float64)
     fitted = torch.zeros(2, 0) if update is None or update.free is None else update.free
     own = torch.zeros(2, 0).int() if parameters is None else torch.stack(parameters).int()
     columns = 0 if parameters is None else n_x + fitted.shape[1] + n_shapes + own.shape[1]

@@ -23,7 +23,7 @@ def path(request, monkeypatch):
         def _none(*_):
             raise FileNotFoundError
 
-        monkeypatch.setattr(sensitivity, "simulate_sensitivities", _none)
+        monkeypatch.setattr(sensitivity, "simulate_program", _none)
     return request.param
 
 
