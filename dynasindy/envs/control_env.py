@@ -14,12 +14,10 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from dynasindy.envs import Task, Tracking
-from dynasindy.envs.task import TrackingMachine
 from dynasindy.limits import Positive, check_memory
 from dynasindy.safe_io import checked
 from dynasindy.systems import System, integrate
 from dynasindy.systems.checks import rates_at_start, require_plant
-from dynasindy.systems.integrators import plain
 from dynasindy.systems.steps import split_delay, steps_of, time_step_of
 
 FARTHEST = 1e4
@@ -79,7 +77,6 @@ class ControlEnv(EnvBase):
         )
         super().__init__(batch_size=torch.Size(batch_size))
         self.system, self.task = system, task
-        self._compiled_task: tuple[Task, torch.dtype, TrackingMachine | None] | None = None
         self.stops, self.delay, self.past = system.stops, delay, deque[Tensor]()
         self.dt, self.substeps, self.float_type = dt, substeps, dtype
         self._make_specs()
@@ -192,12 +189,6 @@ class ControlEnv(EnvBase):
     ) -> dict[str, Tensor]:
         """Return what is shown of states, and what a period earned: states at its start, inputs and touched stops."""
         shown = {"state": x, "task_params": params, "step_count": steps}
-        if x.is_cpu and plain(x, params, steps, *(period or ())):  # else derivatives are asked of it
-            if self._compiled_task is None or self._compiled_task[:2] != (self.task, x.dtype):
-                self._compiled_task = self.task, x.dtype, TrackingMachine.of(self.task, self.dt, x.dtype)
-            if (code := self._compiled_task[2]) is not None:
-                before, _, touched = period or (None, None, None)
-                return shown | code.judge(before, x, params, steps, touched)
         t = steps.to(x.dtype) * self.dt
         shown["observation"] = self.task.observation(x, params, t).float()
         shown["reference"] = self.task.reference(params, t)
