@@ -21,7 +21,7 @@ import numpy as np
 from dynasindy.control.controller import Array, Controller, IntegralAction
 from dynasindy.control.observer import FAR, LEAST, NUDGE, UNKNOWN
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.formulas import PLAIN, comment, formulas, number, right_sides
+from dynasindy.sindy.codegen import PLAIN, comment, formulas, number, right_sides
 from dynasindy.systems import Signature
 from dynasindy.systems.base import WHOLE
 from dynasindy.systems.compiler import load_library

@@ -20,7 +20,7 @@ from dynasindy.control import Controller
 from dynasindy.control.c_code import controller_sources, fill
 from dynasindy.safe_io import replace_file
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.formulas import formulas, number
+from dynasindy.sindy.codegen import formulas, number
 from dynasindy.systems import Stops
 from dynasindy.systems.compiler import SUFFIX, compile_library, compiler
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.formulas import comment, formulas, right_sides
+from dynasindy.sindy.codegen import comment, formulas, right_sides
 from dynasindy.sindy.pysindy_interchange import to_sympy
 from dynasindy.systems.machine import Program
 

@@ -1,11 +1,18 @@
-"""A sparse model as code: torch, formulas with infix operators, machine code; it computes active functions only."""
+"""A sparse model as code: torch, formulas with infix operators, machine code; it computes active functions only.
+
+Words, numbers and equations are parts of other languages, too. Names of states and units come from files that anybody
+wrote: none of them can become code, or end a comment. A comment holds neither end nor beginning of one, and a number is
+a number before it is written.
+"""
 
 from __future__ import annotations
 
+import math
+import re
 from collections import Counter
 from collections.abc import Callable
 from functools import cache, lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -15,6 +22,9 @@ from dynasindy.sindy.library import Factor, Library
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.interpreter import MeasurementUpdate, simulate_program
 from dynasindy.systems.machine import Program
+
+if TYPE_CHECKING:
+    from dynasindy.sindy.model import SindyModel
 
 Field = Callable[[Tensor, Tensor], Tensor]
 
@@ -51,7 +61,7 @@ Term = tuple[dict[Factor, int], float]  # powers of elementary functions, and th
 class Writer:
     """Write sums of functions, in lines of code with infix operators; every value once, and formulas' own calls alone.
 
-    Another language overrides how numbers and sums of two are written, see `dynasindy.sindy.formulas`.
+    Another language overrides how numbers and sums of two are written.
 
     Args:
         library: candidate functions of states and inputs, which are `x[0]`, ..., `u[0]`, ... in the code, as numbers
@@ -260,3 +270,54 @@ def advance(
         states.append(x)
         x = x if update is None else update.corrected(x, k)
     return torch.stack(states, 1)
+
+
+PLAIN = str.maketrans({"°": "deg", "²": "^2", "³": "^3", "·": "*", "µ": "u"})
+
+
+def comment(words: str) -> str:
+    """Return words as they may stand within a comment of C or Python: ASCII, on one line, no end of a comment."""
+    plain = words.translate(PLAIN).encode("ascii", "replace").decode()
+    plain = re.sub(r"[\x00-\x1f\x7f\\?]", "_", plain)
+    return re.sub(r"(?<=\*)(?=/)|(?<=/)(?=\*)", " ", plain)
+
+
+def number(value: float) -> str:
+    """Return a number of double precision as C and Python write it, in brackets if it is negative.
+
+    Raises:
+        ValueError: It is not finite, or no number.
+    """
+    written = repr(float(value))
+    if not math.isfinite(float(value)):
+        raise ValueError(f"{written} stands where a finite number belongs; restore the file, or make it again")
+    return f"({written})" if written.startswith("-") else written
+
+
+def formulas(model: SindyModel) -> Program:
+    """Return the rates of change of a model as formulas.
+
+    Raises:
+        ValueError: The model has too many terms.
+    """
+    return _FormulaWriter(model.library, model.coefficients).program()
+
+
+def right_sides(model: SindyModel) -> Program:
+    """Return the right sides of the equations as formulas: rates of change, or of a difference equation next states.
+
+    Raises:
+        ValueError: The model has too many terms.
+    """
+    return _FormulaWriter(*model.library.mapping(model.coefficients)).program()
+
+
+class _FormulaWriter(Writer):
+    """Write numbers where they are used."""
+
+    def _constant(self, value: float) -> str:
+        return number(value)
+
+    def _plus_scaled(self, total: str, value: str, c: float) -> str:
+        sign = "-" if c < 0 else "+"
+        return f"{total} {sign} {number(abs(c))} * {value}" if abs(c) != 1 else f"{total} {sign} {value}"

@@ -19,8 +19,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.envs import Task
-from dynasindy.sindy.equations import format_sum
-from dynasindy.sindy.library import Library
+from dynasindy.sindy.library import Library, format_sum
 from dynasindy.sindy.named_libraries import LibraryBuilder, build_library
 from dynasindy.sindy.regression import Regression, TriangularFactor
 from dynasindy.systems import Diverged, Signature

@@ -32,10 +32,9 @@ from dynasindy.sentences import setting
 from dynasindy.sindy.codegen import Field, Writer, generate, simulate
 from dynasindy.sindy.covariance import Covariance, of_rates
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay
-from dynasindy.sindy.equations import equations
 from dynasindy.sindy.fit_report import FitReport, Refined
 from dynasindy.sindy.functions import FunctionError, formula_texts, registering
-from dynasindy.sindy.library import Constraints, Feature, Library
+from dynasindy.sindy.library import Constraints, Feature, Library, equations
 from dynasindy.sindy.named_libraries import GENERAL, LibraryBuilder, build_library
 from dynasindy.sindy.reconstruction import (
     RegressionData,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from dynasindy.sindy.formulas import right_sides
+from dynasindy.sindy.codegen import right_sides
 from dynasindy.sindy.library import Feature, Library, parse
 from dynasindy.sindy.model import SindyModel
 from dynasindy.systems.base import Signature

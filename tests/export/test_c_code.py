@@ -20,7 +20,7 @@ from dynasindy.control.controller import ControlSetup
 from dynasindy.envs import Sensors, Step, Tracking, TrackingReward
 from dynasindy.export import Native, controller_sources, model_sources
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.formulas import comment, number
+from dynasindy.sindy.codegen import comment, number
 from dynasindy.systems import Pendulum, Signature, Stops, Tras, integrate
 from dynasindy.systems.compiler import compile_library, compiler
 

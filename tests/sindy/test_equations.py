@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from dynasindy.identification.identify import _coefficient_tables
-from dynasindy.sindy.equations import equations
-from dynasindy.sindy.library import CONSTANT, Library, of, variable
+from dynasindy.sindy.library import CONSTANT, Library, equations, of, variable
 from dynasindy.sindy.model import SindyModel
 from dynasindy.systems import Xi
 from dynasindy.systems.base import Signature

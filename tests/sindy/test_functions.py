@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from dynasindy.sindy import Library, SindyModel, functions, register_function
-from dynasindy.sindy.formulas import formulas
+from dynasindy.sindy.codegen import formulas
 from dynasindy.sindy.functions import _REGISTRY, FORMULA_FUNCTIONS, function
 from dynasindy.sindy.library import parse
 from dynasindy.systems import Signature
