@@ -283,7 +283,7 @@ class TD3:
         if self._made is None or any(one is not other for one, other in zip(now, self._read, strict=True)):
             code, weight = None, self.loss.actor_layers[0].weight
             if self.settings.machine_code and weight.is_cpu and weight.dtype == torch.float32:
-                code = find_library(c_text("agents", "perceptron.c", "td3.c"), "TD3 learns", fast=True)
+                code = find_library(c_text("agents", "perceptron.c", "td3.c"), "TD3 learns")
             parts, self._read = (self.loss, *optimizers), now
             self._made = GradientSteps(*parts) if code is None else MachineSteps(code, *parts)
         return self._made

@@ -26,12 +26,7 @@ from dynasindy.envs import Tracking
 from dynasindy.evaluation.check import thin_margin
 from dynasindy.evaluation.metrics import Summary
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.evaluation.tracking_criteria import (
-    WITHIN,
-    TrackingCriteria,
-    judge_control,
-    judge_tracking,
-)
+from dynasindy.evaluation.tracking_criteria import WITHIN, TrackingCriteria, judge_control, judge_tracking
 from dynasindy.findings import Finding, note, records, weak, wrong
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import replace_file, write_csv, write_json, write_text

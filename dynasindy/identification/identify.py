@@ -414,11 +414,10 @@ def _coefficient_tables(model: SindyModel) -> dict[str, str]:
     library, coefficients = model.library.mapping(model.coefficients)
     states, units = library.signature.state_names, library.signature.state_units
     left = [library.left_side(state) for state in states]
-    rates = [f"d({state})/dt [{unit}/s]" for state, unit in zip(states, units, strict=True)]
-    steps = [f"{side} [{unit}]" for side, unit in zip(left, units, strict=True)]
+    head = "d({})/dt [{}/s]" if library.step is None else "{}[k+1] [{}]"
     table = pd.DataFrame(coefficients.numpy(), library.names, left)
     text = table.rename_axis(columns="function").to_string(float_format="{:.5g}".format, justify="right")
-    heads = rates if library.step is None else steps
+    heads = [*map(head.format, states, units)]
     return {"txt": text + "\n", "csv": table.to_csv(header=heads, index_label="function")}
 
 

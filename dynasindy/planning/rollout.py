@@ -257,7 +257,7 @@ def _adjoint(a: Tensor, b: Tensor, cost: Tensor, effort: Tensor | None, late: Te
 def _library() -> ctypes.CDLL | None:
     """Return the code of windows, None where there is none, which is tried once."""
     own = c_text("agents", "perceptron.c") + c_text("planning", "rollout.c")
-    code = find_library(own, "windows are imagined", fast=True)
+    code = find_library(own, "windows are imagined")
     if code is not None:
         code.layers_size.restype = code.room_size.restype = ctypes.c_long
     return code

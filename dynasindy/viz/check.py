@@ -32,13 +32,12 @@ def draw_check(found: Check) -> dict[str, Figure]:
     * `steps`: the model's step to the farthest target, and those of plants that were drawn around it. Where some run
       away, the axes end with what stays within reach, and the legend says how many are cut off.
     """
-    limits = Thresholds()
     figures: dict[str, Figure] = {}
     if found.planes:
-        figures["recovery"] = _recovery(found, limits)
+        figures["recovery"] = _recovery(found)
     if found.stable.any() and found.loop.signature.n_u:
-        figures["nyquist"] = _nyquist(found, limits)
-    figures["steps"] = _steps(found, limits)
+        figures["nyquist"] = _nyquist(found)
+    figures["steps"] = _steps(found)
     return figures
 
 
@@ -50,8 +49,8 @@ def _in_words(found: Check, target: Tensor) -> str:
     return style.MINUS.sub("\N{MINUS SIGN}", ", ".join(words))
 
 
-def _nyquist(found: Check, limits: Thresholds) -> Figure:
-    names, disk, count = found.loop.signature.input_names, limits.disk, len(found.targets)
+def _nyquist(found: Check) -> Figure:
+    names, disk, count = found.loop.signature.input_names, Thresholds.disk, len(found.targets)
     rows = {k: found.rest.linear.row(k) for k, ok in enumerate(found.stable.tolist()) if ok}
     curves = {
         _in_words(found, found.targets[k]): np.asarray(open_loop_response(row, frequencies(row)))
@@ -87,7 +86,7 @@ def _nyquist(found: Check, limits: Thresholds) -> Figure:
     return figure
 
 
-def _steps(found: Check, limits: Thresholds) -> Figure:
+def _steps(found: Check) -> Figure:
     signature, outputs, far, dt = found.loop.signature, found.loop.task.outputs, found.farthest, found.steps.dt
     x, u, r = (torch.cat([getattr(found.steps, part)[[far]], getattr(found.drawn, part)]) for part in "xur")
     flights = replace(found.drawn, x=x, u=u, r=r)
@@ -115,7 +114,7 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
         axis.axhline(targets[i], color=style.BLACK, linestyle="--", linewidth=1.2, zorder=2.6, label="target")
         for row, look in zip(y, looks, strict=True):
             axis.plot(seconds, row[:, i], **look)
-        error = limits.error * float(found.loop.task.boxes()[i])
+        error = Thresholds.error * float(found.loop.task.boxes()[i])
         low, high = targets[i] - error, targets[i] + error
         axis.axhspan(low, high, color=style.GREY, alpha=0.2, lw=0, label="steady error that passes")
         if not near.all():
@@ -131,10 +130,10 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
     return figure
 
 
-def _recovery(found: Check, limits: Thresholds) -> Figure:
+def _recovery(found: Check) -> Figure:
     title = (
         f"Errors that shrink to {100 * TOLERANCE:g} % of the range within {format_duration(found.seconds)} "
-        f"(asked: {100 * limits.recovered:.0f} % of them)"
+        f"(asked: {100 * Thresholds.recovered:.0f} % of them)"
     )
     planes, colors = found.planes, ListedColormap([style.RED, style.GREEN])
     figure, axes = style.panels(1, len(planes), (max(6.0, 3.6 * len(planes)), 3.8), title, sharex=False)
