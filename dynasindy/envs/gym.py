@@ -316,10 +316,6 @@ class GymnasiumEnv(ControlEnv):
             begun = np.stack([copy.reset(seed=int(rng.integers(2**31)))[0] for _ in range(STARTS)])
             self.task = task.with_starts(system.observed.state(torch.as_tensor(begun, dtype=torch.float64)))
 
-    def with_system(self, system: System, dtype: torch.dtype | None = None, seed: int = 0) -> ControlEnv:
-        """Return an environment around a model of this one, with the same task and period."""
-        return ControlEnv(system, self.task, self.dt, 1, dtype=dtype or self.float_type, seed=seed)
-
     def with_task(self, task: Task, seed: int = 0) -> ControlEnv:
         """Return this environment with another task, for evaluation: rows that end stay where they ended."""
         other = GymnasiumEnv(self.foreign, task, dt=self.dt, dtype=self.float_type, seed=seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pydantic
@@ -85,24 +85,15 @@ class Settings:
         return torch.cartesian_prod(*axes).reshape(-1, len(axes))
 
 
-@dataclass(frozen=True)
-class _Plane:
-    """Initial errors of two states, all others at rest, and whether the plant comes back from them.
-
-    Attributes:
-        names: The two states.
-        units: Their units.
-        first, second: Errors of each, `(n,)` [their units].
-        back: Whether it comes back to where the loop rests, bool `(n, n)`, rows by the first state.
-        steady_error: Error of each output where the loop rests, `(n_r,)`; infinite if it runs away from its rest.
-    """
+class _Plane(NamedTuple):
+    """Initial errors of two states, all others at rest, and whether the plant comes back from them."""
 
     names: tuple[str, str]
     units: tuple[str, str]
-    first: Tensor
-    second: Tensor
-    back: Tensor
-    steady_error: Tensor
+    first: Tensor  # errors of the first state, `(n,)`
+    second: Tensor  # and of the second one
+    back: Tensor  # whether it comes back to where the loop rests, bool `(n, n)`, rows by the first state
+    steady_error: Tensor  # of each output where the loop rests, `(n_r,)`; infinite if it runs away from its rest
 
     @property
     def share(self) -> float:
@@ -111,36 +102,21 @@ class _Plane:
         return min(float(self.back[k : n - k, k : n - k].double().mean()) for k in range((n + 1) // 2))
 
 
-@dataclass(frozen=True)
-class _Spread:
-    """What becomes of the loop with other plants, at the worst of the targets.
+class _Spread(NamedTuple):
+    """What becomes of the loop with other plants, at the worst of the targets."""
 
-    Attributes:
-        worst: Largest spectral radius of each plant, `(n,)`; infinite where it has no point of rest, or no target.
-        farthest: Largest steady error of the outputs of each plant, `(n, n_r)`; infinite where they run away.
-        how: By how much they are drawn, in words.
-    """
-
-    worst: Tensor
-    farthest: Tensor
-    how: str = WITHIN
+    worst: Tensor  # largest spectral radius of each plant, `(n,)`; infinite without a point of rest, or a target
+    farthest: Tensor  # largest steady error of its outputs, `(n, n_r)`; infinite where they run away
+    how: str  # by how much plants are drawn, in words
 
 
-@dataclass(frozen=True)
-class _LimitCycles:
-    """The end of long flights, as long as one of the other flights; a row is zero where the loop is stable.
+class _LimitCycles(NamedTuple):
+    """The end of long flights, as long as one of the other flights; a row is zero where the loop is stable."""
 
-    Attributes:
-        outputs: Half of the way between the ends of each output, `(n_targets, n_r)`; infinite where it grows.
-        inputs: Half of the way between the ends of each input, `(n_targets, n_u)`.
-        error: Mean absolute error of each output, `(n_targets, n_r)`; infinite where a flight diverged.
-        seconds: Length of a flight [s].
-    """
-
-    outputs: Tensor
-    inputs: Tensor
-    error: Tensor
-    seconds: float
+    outputs: Tensor  # half of the way between the ends of each output, `(n_targets, n_r)`; infinite where it grows
+    inputs: Tensor  # the same of each input, `(n_targets, n_u)`
+    error: Tensor  # mean absolute error of each output, `(n_targets, n_r)`; infinite where a flight diverged
+    seconds: float  # length of a flight
 
 
 @dataclass(frozen=True)

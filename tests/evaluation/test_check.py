@@ -268,7 +268,7 @@ def test_an_unstable_loop_says_so_first_and_where():
 
 def test_drawn_plants_without_a_rest_or_that_run_away_in_flight_are_counted(good):
     others = good.spread
-    restless = replace(others, worst=others.worst.clone(), farthest=others.farthest.clone())
+    restless = others._replace(worst=others.worst.clone(), farthest=others.farthest.clone())
     restless.worst[1], restless.farthest[1] = 1.3, 7.0
     found = by_name(replace(good, spread=restless))["coefficients"].values
     assert found["unstable"] == 1 and found["error"] < 7

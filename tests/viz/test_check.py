@@ -68,7 +68,7 @@ def test_a_loop_is_drawn_beside_the_point_that_it_must_not_go_around():
 def test_a_plane_is_drawn_with_the_first_state_to_the_right():
     found = held_cart(draws=0)
     back = torch.tensor([[1, 1, 0], [0, 0, 0]])
-    plane = replace(found.planes[0], first=torch.tensor([-1.0, 1.0]), second=torch.tensor([-2.0, 0.0, 2.0]), back=back)
+    plane = found.planes[0]._replace(first=torch.tensor([-1.0, 1.0]), second=torch.tensor([-2.0, 0.0, 2.0]), back=back)
     figure = draw_check(replace(found, planes=[plane]))["recovery"]
     (axis,) = figure.axes
     np.testing.assert_array_equal(axis.collections[0].get_array().reshape(3, 2), back.T)
