@@ -639,7 +639,7 @@ class _Search:
 
     def _try_hidden_states(self, *attempts: Callable[[float], None], until: float) -> None:
         """Try hidden states where a simple model predicts better, up to a CPU time [s]; drop them if it is chance."""
-        if self.builder is None or self.given.given_known is not None or not self.tried or self.best.score <= 0:
+        if self.builder is None or self.given.given_known == {} or not self.tried or self.best.score <= 0:
             return
         known, before = len(self.tried), self.best
         for attempt in attempts:
@@ -660,22 +660,25 @@ class _Search:
     def _try_chains(self, until: float) -> None:
         """Try hidden states behind each state that a simple model predicts better; the other equations stay."""
         of, signature = self.best, self.source.signature
-        if of.structure is not None or signature.n_x == 1 or self._hidden_states(of):
+        linear = of.structure is not None and not self.given.given_known
+        if linear or signature.n_x == 1 or self._hidden_states(of):
             return  # it would be a linear model, or have some already
-        pairs = zip(self.folds, of.errors, strict=False)
-        ratios = torch.stack([fold.ratios(errors).nanmean(0) for fold, errors in pairs]).nanmean(0).nan_to_num()
+        judged = zip(self.folds, of.errors, strict=False)
+        ratios = torch.stack([fold.ratios(errors).nanmean(0) for fold, errors in judged]).nanmean(0).nan_to_num()
         behind = dict(zip(of.source.signature.state_names, ratios.tolist(), strict=False))
         measured = self.source if of.source.training.u_end is None else self.source.with_linear_inputs()
         early = [of.source.training.select(fold.fit_rows()) for fold in self.folds]
         for state in sorted(signature.state_names, key=lambda name: -behind[name]):
             if behind[state] > 0:
-                chains = (chain_candidates(*each, state) for each in zip(of.models, early, strict=True))
+                chains = (
+                    chain_candidates(*each, state, signature.state_names) for each in zip(of.models, early, strict=True)
+                )
                 self._ever_more_states(f"{of.what}, {state} with", chains, measured, until)
 
     def _try_state_space(self, until: float) -> None:
         """Try linear equations of all states with hidden ones."""
         for source, moving in ((self.source, ""), (self.source.with_linear_inputs(), LINEAR)):
-            if self.best.score > 0:
+            if self.best.score > 0 and not self.given.given_known:  # it would have equations of its own
                 parts = [source.training.select(fold.fit_rows()) for fold in self.folds]
                 begun = (state_space_candidates(self.given, part) for part in parts)
                 self._ever_more_states(f"linear equations{moving}, with", begun, source, until)

@@ -12,7 +12,7 @@ so that a hidden state is a rate of change but for what inputs add at once, and 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from itertools import count, pairwise
 
@@ -105,7 +105,9 @@ def state_space_candidates(model: SindyModel, data: Transitions) -> Iterator[lis
         yield found
 
 
-def chain_candidates(of: SindyModel, data: Transitions, state: str) -> Iterator[list[SindyModel]]:
+def chain_candidates(
+    of: SindyModel, data: Transitions, state: str, named: Collection[str] = ()
+) -> Iterator[list[SindyModel]]:
     """Yield models that differ from another one in a measured state, which leads a chain of hidden states.
 
     The chain is driven by the inputs and by the other states. Their equations stay, whatever functions they have, but
@@ -115,6 +117,7 @@ def chain_candidates(of: SindyModel, data: Transitions, state: str) -> Iterator[
         of: a fitted model.
         data: what it was fitted to, with all of its states.
         state: which one is to lead a chain. If the rate of it was not measured, it is no state any more.
+        named: rates that stay; such a one is the first of the chain behind its state.
     """
     signature, rates = of.signature, rate_states(of.library, of.constraints)
     own, unmeasured = signature.state_index(state), data.x.isnan().all(0)
@@ -128,24 +131,29 @@ def chain_candidates(of: SindyModel, data: Transitions, state: str) -> Iterator[
     part = Transitions(data.x[:, [own]], drivers, data.x_next[:, [own]], data.dt, data.segment)
     blank = SindyModel(alone, Library(alone, [Feature(())]), of.regression, of.refinement)
     for found in state_space_candidates(blank, part):
-        yield [_with_chain(of, chain, rate) for chain in found]
+        yield [_with_chain(of, chain, rate, named) for chain in found]
 
 
-def _with_chain(of: SindyModel, chain: SindyModel, rate: int | None) -> SindyModel:
+def _with_chain(of: SindyModel, chain: SindyModel, rate: int | None, named: Collection[str]) -> SindyModel:
     """Return a model with the equations of a chain in place of those of its first state and of the rate of that."""
-    old, new = of.signature, chain.signature
+    old, new, features, kept = of.signature, chain.signature, chain.library.features, set[str]()
+    if rate is not None and old.state_names[rate] in named:
+        own, *hidden = new.state_names
+        names = own, old.state_names[rate], *hidden[:-1]
+        features = tuple(each.renamed(dict(zip(new.state_names, names, strict=True))) for each in features)
+        new, kept, rate = replace(new, state_names=names), {own}, None
     every = [row for s in (old, new) for row in zip(s.state_names, s.state_units, s.x_scale, strict=True)]
     signature = replace(old, state_names=(), state_units=(), x_scale=())
     for k, (name, unit, scale) in enumerate(every):
         if k != rate and name not in signature.state_names:
             signature = signature.with_state(name, unit, scale)
     variables = {*signature.state_names, *signature.input_names}
-    features = {each.key: each for each in (*of.library.features, *chain.library.features)}
-    library = Library(signature, [each for each in features.values() if each.variables <= variables])
-    led = torch.tensor([name in new.state_names for name in signature.state_names])
+    both, chained = {each.key: each for each in (*of.library.features, *features)}, Library(new, features)
+    library = Library(signature, [each for each in both.values() if each.variables <= variables])
+    led = torch.tensor([name in new.state_names and name not in kept for name in signature.state_names])
 
     def _both(others: Tensor, own: Tensor) -> Tensor:
-        return torch.where(led, library.aligned(chain.library, own), library.aligned(of.library, others))
+        return torch.where(led, library.aligned(chained, own), library.aligned(of.library, others))
 
     assert chain.initial is not None
     found = SindyModel(signature, library, of.regression, of.refinement, machine_code=of.machine_code)

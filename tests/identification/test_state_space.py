@@ -56,6 +56,21 @@ def test_a_candidate_begins_at_the_poles_of_a_soft_shaft_of_which_one_angle_is_m
     assert min(distance(poles(model), np.linalg.eigvals(SOFT_SHAFT)) for model in sizes[2]) < 0.05
 
 
+def test_a_rate_that_a_user_named_stays_the_rate_where_the_far_end_is_hidden():
+    u = steps(0, 300, 10)
+    y = torch.from_numpy(np.pad(measured(ANGLE, 0.0, u, "zoh"), ((0, 0), (0, 1)), constant_values=np.nan))
+    data = Transitions.from_trajectory(y, torch.from_numpy(u[:-1, None]), DT)
+    signature = Signature(("angle", "speed"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
+    motor = SindyModel(signature, ["1", "angle", "speed", "u"], known={"angle": "speed"})
+    found = list(chain_candidates(motor, data, "angle", signature.state_names))[2]
+    for model in found:
+        model.set_coefficients(torch.where(model.constraints.free, model.initial, model.constraints.offset))
+        assert model.equations()[0] == "angle' = speed"
+    names = ("angle", "speed", "hidden_1", "hidden_2")
+    assert all(model.signature.state_names == names and not model.constraints.free[:, 0].any() for model in found)
+    assert min(distance(poles(model), np.linalg.eigvals(SOFT_SHAFT)) for model in found) < 0.05
+
+
 @pytest.mark.parametrize("blind", [0, 1])
 @pytest.mark.parametrize("count", [30, 300])
 def test_short_recordings_and_inputs_that_stand_still_are_no_error(count, blind):
