@@ -22,6 +22,7 @@ from dynasindy.agents import TD3, Actor, DynaReplay
 from dynasindy.agents.networks import MLP
 from dynasindy.envs import ControlEnv, Tracking
 from dynasindy.envs.references import Step
+from dynasindy.envs.task import FENCE_WIDTH
 from dynasindy.limits import Count, Positive, check_memory
 from dynasindy.planning.imagined_replay import Planned, Planner
 from dynasindy.planning.imitation import Imitation, hold, imagined_rewards, improve
@@ -283,7 +284,10 @@ class GradientPlanning(Planner):
             self.network.load_state_dict(untouched)
             raise
         for k in range(0 if "updates" in self.given else ROUNDS):
-            if rests is None or (self.steady_state_error() or 0.0) <= ACCEPTABLE_ERROR:
+            if rests is None:
+                break
+            leaves = self._leaves_bounds()
+            if not leaves and (self.steady_state_error() or 0.0) <= ACCEPTABLE_ERROR:
                 break
             # The law of the model, where that is better than what the gradient has found and nobody rules it out.
             if not held and self.given.get("warm_start", True):
@@ -292,8 +296,13 @@ class GradientPlanning(Planner):
             else:
                 before = parts[-1].score
             # As long as those of the first phase: what it has not reached, the few updates of a later one do not.
-            # Targets come before margins.
+            # Targets come before margins, and so do bounds, which weaker inputs may not be able to keep.
             self.margin_cost = None
+            if leaves:
+                rows.strength = rows.late = None
+                for each in episodes:
+                    each.vary(None)
+                before = self.test()
             parts.append(self._descend(episodes, before, pace.updates, pace.lr * FALL ** (k + 1), held))
             if k >= LEAST and parts[-1].score - before <= GAIN * abs(before):
                 break
@@ -347,6 +356,18 @@ class GradientPlanning(Planner):
         error = (whole.states[-last - 1 :][..., task.outputs] - reference).abs() / task.boxes()
         error = error.where(whole.alive[-1, :, None], torch.inf)
         return min(float(error[:, rests].mean((0, 1)).amax()), LARGEST_ERROR)
+
+    def _leaves_bounds(self) -> bool:
+        """Tell whether held-out imagined episodes leave the plant's bounds, where real ones end, by more than a little.
+
+        Inputs act as in the model.
+        """
+        task = self.env.task
+        assert isinstance(task, Tracking)
+        rows = replace(self.held_out, strength=None, late=None, kept=False)
+        states = imagine(self.env, self._limited(self.network), rows, task.max_steps).states
+        (low, high), size = task.bounds.to(states), states.new_tensor(task.signature.x_scale)
+        return bool((torch.maximum(states - high, low - states) > FENCE_WIDTH * size).any())
 
     def _limited(self, network: Network) -> Network:
         """Return a policy whose inputs keep the task's limits."""

@@ -62,6 +62,29 @@ def test_a_phase_goes_on_from_a_regulator_where_its_updates_lead_nowhere(mapped)
     assert float(error) < 0.05
 
 
+class Motor(System):
+    """A motor without load, whose current is what its voltage is beyond the speed, over a small resistance."""
+
+    def __init__(self):
+        super().__init__(Signature(("speed", "current"), ("rad/s", "A"), ("u",), (1.0, 1.0)))
+
+    def forward(self, x, u):
+        speed, current = x.unbind(-1)
+        return torch.stack((2 * current - 0.05 * speed, 40 * (u[..., 0] - speed - 0.1 * current)), -1)
+
+
+def test_a_bound_that_weaker_inputs_cannot_keep_is_kept_by_those_of_the_model():
+    plant, ends, reward = Motor(), {"low": [0.1], "high": [0.6]}, TrackingReward([4.0])
+    narrow, begin = {"current": [-0.15, 0.15]}, {"speed": 0.1}
+    task = Tracking(plant.signature, RandomStep(**ends), ["speed"], [], reward, 40, **ends, bounds=narrow, start=begin)
+    torch.manual_seed(2)
+    env, actor = ControlEnv(plant, task, 0.05, 2, batch_size=[64], seed=0), Actor(task.n_o, 1, hidden=(32, 32))
+    GradientPlanning(env, actor, rollouts=16, seed=2).plan()
+    with torch.no_grad():
+        current = env.rollout(40, actor.policy)["next", "state"][..., 1]
+    assert 0.1 < float(current.abs().max()) < 0.2  # inputs that are stronger by .3 pass .3 on the way to any target
+
+
 def test_no_phase_goes_on_from_a_regulator_that_is_ruled_out(mapped):
     env = mapped(0.9, 0.2)
     actor = Actor(env.task.n_o, 1, hidden=(32, 32))
