@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 import torch
@@ -12,12 +13,15 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
+from torchrl.envs.utils import _make_compatible_policy
 
 from dynasindy.envs import Task, Tracking
+from dynasindy.envs.task import TrackingMachine
 from dynasindy.limits import Positive, check_memory
 from dynasindy.safe_io import checked
 from dynasindy.systems import System, integrate
 from dynasindy.systems.checks import rates_at_start, require_plant
+from dynasindy.systems.integrators import plain
 from dynasindy.systems.steps import split_delay, steps_of, time_step_of
 
 FARTHEST = 1e4
@@ -77,6 +81,7 @@ class ControlEnv(EnvBase):
         )
         super().__init__(batch_size=torch.Size(batch_size))
         self.system, self.task = system, task
+        self._compiled_task: tuple[Task, torch.dtype, TrackingMachine | None] | None = None
         self.stops, self.delay, self.past = system.stops, delay, deque[Tensor]()
         self.dt, self.substeps, self.float_type = dt, substeps, dtype
         self._make_specs()
@@ -165,6 +170,58 @@ class ControlEnv(EnvBase):
         bounds = self.task.bounds if isinstance(self.task, Tracking) else None
         require_plant(self.system, self._begins, bounds)
 
+    def rollout(
+        self,
+        max_steps: int,
+        policy: Callable[[TensorDictBase], TensorDictBase] | None = None,
+        callback: Callable[[EnvBase, TensorDictBase], object] | None = None,
+        *,
+        auto_reset: bool = True,
+        tensordict: TensorDictBase | None = None,
+        break_when_any_done: bool = True,
+        **options: Any,
+    ) -> TensorDictBase:
+        """Roll a policy out as `EnvBase.rollout` does, with its arguments, several times as fast.
+
+        Other options of TorchRL's go its own way.
+
+        Returns:
+            Control periods `(*batch, T)`.
+        """
+        given = {"auto_reset": auto_reset, "tensordict": tensordict, "break_when_any_done": break_when_any_done}
+        begins = None if tensordict is None or auto_reset else tensordict.get("samples", None)
+        other = not auto_reset and (begins is None or begins.shape[-2] != self.substeps)  # of another environment
+        if options or max_steps < 1 or other:
+            return super().rollout(max_steps, policy, callback, **given, **options)
+        now = self.reset(tensordict) if auto_reset else self.maybe_reset(tensordict)
+        if policy is None:
+            policy = self.rand_action
+        else:
+            policy = _make_compatible_policy(policy, self.observation_spec, env=self, fast_wrap=True)
+        begun, ended = list[dict[str, Any]](), list[dict[str, Any]]()
+        while True:
+            acted = policy(now)
+            if acted is not now:
+                now.update(acted)
+            row = dict(now.items())
+            after = dict(self._step(now).items())
+            ended.append({**row.pop("next", {}), **after})
+            begun.append(row)
+            over = bool(after["done"].any())
+            if len(begun) == max_steps or (over and break_when_any_done):
+                shape, names = (*now.batch_size, len(begun)), [*[None] * now.batch_dims, "time"]
+                first, last = (
+                    {key: torch.stack([period[key] for period in periods], now.batch_dims) for key in periods[0]}
+                    for periods in (begun, ended)
+                )
+                return TensorDict({**first, "next": TensorDict(last, shape)}, shape, names=names)
+            going_on = {key: value for key, value in after.items() if key != "reward"}
+            now = TensorDict({**row, **going_on}, now.batch_size, device=self.device)
+            if over:
+                now = self.maybe_reset(now)
+            if callback is not None:
+                callback(self, now)
+
     def start_from(self, states: Tensor) -> TensorDict:
         """Begin episodes at given states, with fresh references.
 
@@ -189,6 +246,12 @@ class ControlEnv(EnvBase):
     ) -> dict[str, Tensor]:
         """Return what is shown of states, and what a period earned: states at its start, inputs and touched stops."""
         shown = {"state": x, "task_params": params, "step_count": steps}
+        if x.is_cpu and plain(x, params, steps, *(period or ())):  # else derivatives are asked of it
+            if self._compiled_task is None or self._compiled_task[:2] != (self.task, x.dtype):
+                self._compiled_task = self.task, x.dtype, TrackingMachine.of(self.task, self.dt, x.dtype)
+            if (code := self._compiled_task[2]) is not None:
+                before, _, touched = period or (None, None, None)
+                return shown | code.judge(before, x, params, steps, touched)
         t = steps.to(x.dtype) * self.dt
         shown["observation"] = self.task.observation(x, params, t).float()
         shown["reference"] = self.task.reference(params, t)

@@ -24,8 +24,10 @@ from torchrl.data import Binary, Unbounded
 from dynasindy.envs import RandomStep, Task, Tracking, TrackingReward
 from dynasindy.envs.control_env import ControlEnv
 from dynasindy.envs.drawing import Frame, draw
+from dynasindy.envs.task import TrackingMachine
 from dynasindy.systems import Pendulum, Signature, System, Tras, Trms33, Xi
 from dynasindy.systems.base import WHOLE
+from dynasindy.systems.steps import steps_of
 from dynasindy.text import duration_unit
 
 PLANTS: dict[str, Callable[[], System]] = {"tras": Tras, "xi": Xi, "trms33": Trms33}
@@ -49,6 +51,7 @@ class _GymControl(gymnasium.Env[Array, Array]):
         self.observation_space = spaces.Box(-most, most, (n_o,), np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (n_u,), np.float32)
         self._steps: int | None = None
+        self._compiled: Callable[[Array], tuple[Array, float, dict[str, Any]]] | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode with a fresh reference; the same seed begins the same sequence of episodes."""
@@ -56,6 +59,7 @@ class _GymControl(gymnasium.Env[Array, Array]):
         # EnvBase.set_seed would also seed torch's global generator, which is not ours to touch.
         self.env.rng.manual_seed(int(self.np_random.integers(2**31)))
         self._now, self._steps = self.env.reset(), 0
+        self._compiled = _compiled_step(self.env, self._now)
         return self._observed(self._now)
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
@@ -67,11 +71,18 @@ class _GymControl(gymnasium.Env[Array, Array]):
             raise ValueError(f"an action has shape {self.action_space.shape}, given {u.shape}")
         self._steps += 1
         over = self._steps >= self._task.max_steps
+        if self._compiled is not None:
+            observation, reward, self._info = self._compiled(u)
+            return observation, reward, False, over, self._info
         with torch.no_grad():
             stepped = self.env.step(self._now.set("action", torch.from_numpy(u)))
         self._now, after = self.env.step_mdp(stepped), stepped["next"]
         observation, info = self._observed(after)
         return observation, float(after["reward"]), False, over or bool(after["truncated"]), info
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy goes on from; until its next episode without the compiled step, which reads from here."""
+        return {**vars(self), "_compiled": None}
 
     def render(self) -> Frame | None:
         """Return a picture of the state, uint8 `(height, width, 3)`, or None without a render mode."""
@@ -85,6 +96,35 @@ class _GymControl(gymnasium.Env[Array, Array]):
     def _observed(self, shown: TensorDictBase) -> tuple[Array, dict[str, Any]]:
         self._info = {key: shown[key].numpy().copy() for key in ("state", "reference")}
         return shown["observation"].numpy(), self._info
+
+
+def _compiled_step(
+    env: ControlEnv, begun: TensorDictBase
+) -> Callable[[Array], tuple[Array, float, dict[str, Any]]] | None:
+    """Return what advances one row, its state and count in `begun`, by two calls of machine code, if there is any."""
+    x, params, steps = begun["state"], begun["task_params"].contiguous(), begun["step_count"]
+    u = x.new_zeros(1, env.system.signature.n_u)
+    judge, code = TrackingMachine.of(env.task, env.dt, x.dtype), env.system.compiled(x, u[0])
+    beaten = env.delay or math.isfinite(env.left_beyond)
+    if type(env) is not ControlEnv or beaten or judge is None or code is None:
+        return None
+    count = steps_of(code.step, env.dt, env.substeps).number
+    samples, touched = x.new_empty(1, count, len(x)), torch.zeros(1, dtype=torch.bool)
+    results = torch.empty(judge.n_o, dtype=torch.float32), x.new_empty(judge.n_r), torch.empty(1, dtype=torch.float32)
+    advance = code.bind(x, u, samples, touched, env.dt, env.substeps, env.stops)
+    judged = judge.bind(x, samples[0, -1], params, steps, touched, results)
+    before, after, acting, clock = x.numpy(), samples[0, -1].numpy(), u[0].numpy(), steps.numpy()
+    observation, reference, reward = (result.numpy() for result in results)
+
+    def _step(action: Array) -> tuple[Array, float, dict[str, Any]]:
+        acting[:] = action
+        clock[0] += 1
+        advance()
+        judged()
+        before[:] = after
+        return observation.copy(), float(reward[0]), {"state": after.copy(), "reference": reference.copy()}
+
+    return _step
 
 
 def twin_rotor(

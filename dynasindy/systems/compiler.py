@@ -119,15 +119,16 @@ def addresses(*tensors: Tensor | None) -> list[ctypes.c_void_p | None]:
     return [None if tensor is None else ctypes.c_void_p(tensor.data_ptr()) for tensor in tensors]
 
 
-def find_library(source: str, without: str) -> ctypes.CDLL | None:
-    """Return a fast library; None where there is no compiler or, with a warning, one that refuses the text.
+def find_library(source: str, without: str, fast: bool = True) -> ctypes.CDLL | None:
+    """Return what `load_library` does; None where there is no compiler or, with a warning, one that refuses the text.
 
     Args:
         source: The text.
         without: What is slower then, in words.
+        fast: See `load_library`.
     """
     try:
-        return load_library(source, fast=True)
+        return load_library(source, fast=fast)
     except FileNotFoundError:
         return None
     except (ValueError, OSError) as error:

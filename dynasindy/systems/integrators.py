@@ -124,7 +124,10 @@ def simulate(
     """
     h, count, difference = steps_of(time_step_of(f), dt, substeps)
     if isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u[0])) is not None:
-        samples, touched = code.advance(x, u, dt, substeps, stops)
+        x, u = x.contiguous(), u.contiguous()
+        samples = x.new_empty(*u.shape[:-1], count, x.shape[-1])
+        touched = torch.empty(u.shape[:-1], dtype=torch.bool)
+        code.bind(x, u, samples, touched, dt, substeps, stops)()
     else:
         periods, hits = list[Tensor](), list[Tensor]()
         for held in u:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -106,35 +106,37 @@ class Machine:
         # The code reads as many numbers as it was written for, whatever is there.
         return x.shape[:-1] == u.shape[:-1] and (x.shape[-1:], u.shape[-1:]) == ((self.n_x,), (self.n_u,))
 
-    def advance(
-        self, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Advance states over periods in their order.
+    def bind(
+        self, x: Tensor, u: Tensor, samples: Tensor, touched: Tensor, dt: float, substeps: int, stops: Stops | None
+    ) -> Callable[[], None]:
+        """Return the call that advances what lies in these tensors when it is made, over periods in their order.
 
         Args:
             x: states at the start of the first period, `(*batch, n_x)`.
             u: inputs held in each period, `(T, *batch, n_u)`.
+            samples: where the states go, `(T, *batch, steps, n_x)`; the steps of a difference equation are its own.
+            touched: where it goes whether a stop was touched, bool `(T, *batch)`.
             dt: control period [s].
             substeps: Runge-Kutta steps per period.
             stops: mechanical stops, if any.
-
-        Returns:
-            The states, `(T, *batch, steps, n_x)`, where the steps of a difference equation are its own, and whether a
-            stop was touched, bool `(T, *batch)`.
 
         Raises:
             IndexError: a stop is of a state that does not exist.
             ValueError: the period is not made of whole steps of a difference equation.
         """
-        x, u = x.contiguous(), u.contiguous()
         length, count, _ = steps_of(self.step, dt, substeps)
-        samples, touched = x.new_empty(*u.shape[:-1], count, self.n_x), torch.empty(u.shape[:-1], dtype=torch.bool)
         ends, n_stops = self._in_memory(stops or FREE), len((stops or FREE).positions)
         periods, rows = ctypes.c_long(len(u)), ctypes.c_long(x.shape[:-1].numel())
         room = x.new_empty(self._size)
         read = *addresses(x, u), self._constants, self._real(length), int(count), n_stops, *ends
-        self._code.advance(periods, rows, *read, *addresses(samples, touched, room))
-        return samples, touched
+        arguments = periods, rows, *read, *addresses(samples, touched, room)
+
+        held = x, u, samples, touched, room  # the code knows only where they lie
+
+        def _advance(code: ctypes.CDLL = self._code, kept: object = held) -> None:
+            code.advance(*arguments)
+
+        return _advance
 
     def advance_arguments(self, dt: float, substeps: int, stops: Stops | None = None) -> tuple[object, ...]:
         """Return what other machine code advances states with: steps, stops, step length, and where the rest lies.

@@ -184,6 +184,39 @@ def test_bounds_that_exclude_where_episodes_begin_are_refused_before_anything_mo
         ControlEnv(system, begun.with_starts(torch.tensor([[0.6, 0.0], [0.4, 0.0]]))).check_plant()
 
 
+class Busy:
+    """A policy that writes more than its action: what goes on, what follows and what every period has anew."""
+
+    def __call__(self, tensordict):
+        h = tensordict.get("h", torch.zeros(*tensordict.batch_size, 1)) + 0.1
+        tensordict["h"], tensordict["next", "k"] = h, h**2
+        tensordict["odds"] = tensordict["observation"].sum(-1, keepdim=True)
+        return tensordict.set("action", torch.cat([torch.sin(h), -h], -1))
+
+
+@pytest.mark.parametrize("batch", [(), (3,), (2, 2)])
+@pytest.mark.parametrize(
+    ("periods", "settings"),
+    [(4, {}), (30, {}), (30, {"break_when_any_done": False}), (1, {"break_when_any_done": False})],
+)
+def test_a_rollout_is_the_one_of_torchrl(batch, periods, settings):
+    """Also past the end of episodes; with its options, here that of one piece of memory, it is TorchRL that does it."""
+    envs = [make(max_steps=12, batch_size=batch, seed=3) for _ in range(2)]
+    ours, theirs = (
+        env.rollout(periods, Busy(), **settings, **more) for env, more in zip(envs, ({}, {"return_contiguous": True}))
+    )
+    assert ours.batch_size == theirs.batch_size and ours.names == theirs.names
+    assert set(ours.keys(True, True)) == set(theirs.keys(True, True))
+    for key in theirs.keys(True, True):
+        assert ours[key].dtype == theirs[key].dtype and torch.equal(ours[key], theirs[key]), key
+    ours["observation"].fill_(9.0)  # numbers of one period are its own
+    assert torch.equal(ours["next", "observation"], theirs["next", "observation"])
+    assert (
+        theirs["next", "state"].is_contiguous()
+        and ours.reshape(-1).contiguous().batch_size == theirs.reshape(-1).batch_size
+    )
+
+
 def test_a_rollout_tells_of_each_period_but_the_last_and_goes_on_from_another():
     env, heard = make(max_steps=20), []
     first = env.rollout(5, Constant(0.3, 0.3), lambda _, now: heard.append(int(now["step_count"])))

@@ -124,7 +124,8 @@ for dtype in (torch.float32, torch.float64):
     code = Machine(Program(2, 1, (), ("0.0", " + ".join(f"{name}(x[0] * u[0])" for name in names))), dtype)
     x, u = torch.tensor(values, dtype=dtype).unsqueeze(-1).repeat(1, 2), torch.ones(len(values), 1, dtype=dtype)
     code.sensitivities(x, u, 0.1, 2)
-    samples, touched = code.advance(x, u.unsqueeze(0), 0.1, 1)
+    samples, touched = x.new_empty(1, len(values), 1, 2), torch.empty(1, len(values), dtype=torch.bool)
+    code.bind(x, u.unsqueeze(0), samples, touched, 0.1, 1, None)()
     gains = (samples[0, :, 0, 1] - x[:, 1]) / 0.1
     expected = sum(getattr(torch, "abs" if name == "fabs" else name)(x[0, 0]) for name in names)
     assert math.isclose(gains[0].item(), expected.item(), rel_tol=1e-4), (gains, expected)
