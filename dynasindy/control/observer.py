@@ -48,6 +48,9 @@ NUDGE = 1e-4
 """Step of the central differences [ranges of the states and of the inputs]: right to eight digits in float64."""
 STEPS, DAMPING = 2, 1e-4
 """Gauss-Newton steps per control period by which a push is counteracted, and how much they are damped."""
+LARGEST_SHIFT = 1.0
+"""Most of a state or input that counteracts a push [ranges]: beyond it lies another branch of the model, as that of a
+pendulum which has turned over, and plants would be driven there."""
 FAR = 1e3
 """Innovations that no plant has, and that count as lost samples [standard deviations]; so with estimates [ranges]."""
 LEAST = 0.003
@@ -253,7 +256,7 @@ class Observer:
             # Far off, where a model explodes, the matrix may be singular in spite of the damping: no number, no shift.
             step, failed = torch.linalg.solve_ex(normal, slopes.mT @ missing)
             shift = shift + step.squeeze(-1).masked_fill(failed.bool().unsqueeze(-1), torch.nan) * scale
-        return torch.where((shift.abs() <= FAR * scale).all(-1, keepdim=True), shift, torch.zeros_like(shift))
+        return torch.where((shift.abs() <= LARGEST_SHIFT * scale).all(-1, keepdim=True), shift, torch.zeros_like(shift))
 
     def follow(self, y: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Filter a log.

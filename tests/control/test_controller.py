@@ -390,6 +390,28 @@ def test_a_push_on_a_curved_plant_is_counteracted_by_newton_s_steps():
     assert shift[:2].abs().max() < 1e-8
 
 
+class Weathercock(System):
+    """A cart that a vane at an angle q pushes: v' = u - sin(q), which is the same a turn of the vane away."""
+
+    def __init__(self):
+        super().__init__(Signature(("p", "v", "q"), ("m", "m/s", "rad"), ("u",), (1.0, 1.0, 1.5)))
+
+    def forward(self, x, u):
+        _, v, q = x.unbind(-1)
+        return torch.stack([v, u[..., 0] - torch.sin(q), 0 * q], -1)
+
+
+def test_a_push_is_not_counteracted_by_a_turn_of_what_is_not_tracked():
+    x, u = torch.zeros(3, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
+    push, turned = torch.tensor([0.2], dtype=torch.float64), torch.tensor([0, 0, 2 * math.pi, 0], dtype=torch.float64)
+    shift = counteracted(Weathercock(), x, u, push, turned)
+    assert shift[2].abs() < 1.5
+    for _ in range(5):
+        shift = counteracted(Weathercock(), x, u, push, shift)
+    # u - du - sin(q - dq) = u - sin(q) + push
+    assert float(torch.sin(shift[2]) - shift[3]) == pytest.approx(0.2, abs=1e-3)
+
+
 def pushed(disturbance=True):
     plant = spring()
     task = Tracking(plant.signature, Step([[0.0]]), ["p"], ["v"], TrackingReward([1.0]))

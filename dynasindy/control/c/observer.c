@@ -180,7 +180,7 @@ static void counteract({{ name }}_state *s, const double x[N])
             s->shift[j] += normal[j][NZ] / normal[j][j] * range[j];
     }
     for (j = 0; j < NZ; j++)
-        sound = sound && fabs(s->shift[j]) <= {{ far | number }} * range[j];
+        sound = sound && fabs(s->shift[j]) <= {{ most | number }} * range[j];
     if (!sound)
         memset(s->shift, 0, sizeof s->shift);
 }
