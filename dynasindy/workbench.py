@@ -292,7 +292,7 @@ def _doubts(model: SindyModel, log: Source, seconds: float) -> list[Finding]:
     short = shortcoming(forecasts, model.signature, min(seconds, forecasts.characteristic))
     lacking = [short] if short and not runs_away(forecasts, model.signature) else []
     lacking += [each for each in linear_better(forecasts, model.signature) if each.severity == "wrong"]
-    return [*lacking, *what_to_leave_out(lacking, log.training, log.signature)]
+    return [*lacking, *what_to_leave_out(lacking, log, model)]
 
 
 def tracking_task(model: SindyModel, targets: Mapping[str, tuple[float, float]]) -> Tracking:

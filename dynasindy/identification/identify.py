@@ -173,7 +173,7 @@ class Identified(LogFit):
             return [*self.quiet, weak("model.short_validation")]
         errors, source = self.resolved(), self.source
         found = [] if errors is None else verdict.model_findings(errors, self.model.signature)
-        rest = verdict.what_to_leave_out(found, source.training, source.signature) if source.logged else []
+        rest = verdict.what_to_leave_out(found, source, self.model) if source.logged else []
         return [*found, *rest, *self.quiet]
 
     @property

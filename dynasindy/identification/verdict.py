@@ -12,6 +12,7 @@ from torch import Tensor
 from dynasindy.findings import Finding, FindingError, note, weak, wrong
 from dynasindy.identification.forecast_errors import LOST, ForecastErrors
 from dynasindy.identification.recording_diagnostics import samples_of, sensor_resolution
+from dynasindy.identification.source import Source
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.library import Factor, Feature
 from dynasindy.systems.base import Signature
@@ -19,7 +20,7 @@ from dynasindy.systems.transitions import Transitions
 
 RESOLVED = 2.0
 """Error up to which a prediction is as good as a sensor can tell [what the sensor resolves]."""
-BEHIND, BETTER = 0.5, 0.9
+BEHIND, BETTER = 0.5, 0.97
 """Parts of a model's error that a linear model on past samples may have, below which something is missing, and below
 which it is the better one."""
 SMALL = 1e-3
@@ -251,18 +252,25 @@ def shortcoming(forecasts: ForecastErrors, signature: Signature, seconds: float 
     return wrong("model.misses", seconds=ahead, errors=errors, held=last, units=units)
 
 
-def what_to_leave_out(findings: Sequence[Finding], data: Transitions, signature: Signature) -> list[Finding]:
+def what_to_leave_out(findings: Sequence[Finding], source: Source, model: SindyModel) -> list[Finding]:
     """Return how states that a model does not predict are left out, as what is no part of a plant is to be.
+
+    What moves the others is a part of it, whether it is predicted or not.
 
     Args:
         findings: What is wrong of the model.
-        data: A log.
-        signature: Names of its states.
+        source: A log.
+        model: The model.
     """
     facts = [each.values for each in findings if each.severity == "wrong"]
     poor = {name for each in facts for name in (*each.get("errors", ()), *each.get("states", ()), each.get("state"))}
-    kept = [name for name in _names(signature, ~data.x.isnan().all(0)) if name not in poor]
-    poor &= {*signature.state_names}
+    kept = [name for name in _names(source.signature, ~source.training.x.isnan().all(0)) if name not in poor]
+    columns = dict(zip(model.signature.state_names, model.coefficients.mT, strict=True))
+    reads = {name: _variables(_used(model.library.features, column)) for name, column in columns.items()}
+    moving = {*kept}
+    for _ in reads:
+        moving |= {each for name in moving for each in reads.get(name, ())}
+    poor = poor & {*source.signature.state_names} - moving
     return [weak("model.leave_out", states=sorted(poor), kept=kept)] if poor and kept else []
 
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -73,7 +74,7 @@ def test_a_linear_model_that_is_better_is_said_to_be():
         weak("model.linear_better", **better(0.04, 0.03), far=False),
         promise,
     ]
-    assert model_findings(forecasts(0.04, linear=0.039), SIGNATURE) == [promise]
+    assert model_findings(forecasts(0.04, linear=0.0395), SIGNATURE) == [promise]
     assert model_findings(forecasts(0.04, linear=0.01), SIGNATURE) == [
         wrong("model.linear_better", **better(0.04, 0.01), far=True),
         weak("model.incomplete", seconds=2.0),
@@ -93,13 +94,16 @@ def test_a_plant_that_runs_away_by_itself_is_said_to_where_a_linear_model_does_s
     assert staying == [lost]
 
 
-def test_measured_states_that_are_predicted_are_those_to_keep_beside_others():
+def test_measured_states_that_are_predicted_are_those_to_keep_beside_others_that_do_not_move_them():
     data = Transitions.from_trajectory(torch.tensor([[0.0, math.nan, 1.0]]).repeat(9, 1).double(), torch.zeros(8, 1), 1)
-    for q in (0.06, math.inf):
-        (told,) = what_to_leave_out(model_findings(forecasts(q), SIGNATURE), data, SIGNATURE)
-        assert told == weak("model.leave_out", states=["q"], kept=["w"]) and "states=['w']" in str(told)
-    assert not what_to_leave_out(model_findings(forecasts(0.06, 1e3), SIGNATURE), data, SIGNATURE)  # none is predicted
-    assert not what_to_leave_out(model_findings(forecasts(0.002), SIGNATURE), data, SIGNATURE)
+    log, model = SimpleNamespace(training=data, signature=SIGNATURE), SindyModel(SIGNATURE, ["q", "w", "v"])
+    for q in (0.06, math.inf):  # w moves q, and v moves w
+        model.set_coefficients(torch.tensor([[-1.0, 0.0, 0.0], [0.5, -1.0, 1.0], [0.5, 0.0, -1.0]]).double())
+        found = what_to_leave_out(model_findings(forecasts(q), SIGNATURE), log, model)
+        assert [each.values for each in found] == [{"states": ["q"], "kept": ["w"]}]
+    model.set_coefficients(torch.tensor([[-1.0, 0.5, 0.0], [0.0, -1.0, 1.0], [0.5, 0.0, -1.0]]).double())
+    for errors in ((0.06, 1e3), (0.002,), (0.06,)):  # none is predicted, all are, and q moves w through v
+        assert not what_to_leave_out(model_findings(forecasts(*errors), SIGNATURE), log, model)
 
 
 def test_the_table_holds_measured_states_alone():
