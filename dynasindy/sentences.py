@@ -568,6 +568,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "to {seconds:g} s ahead in parts of the training data that the fit had not seen: {what}",
     "fit.added_rates": "no sensor sees {states:and}, by which the model predicts better; {known:plant.known} leaves "
     "rates out",
+    "fit.linear_inputs": "{inputs:list} moved in straight lines between samples, as the fit found, and was not held",
     "fit.hidden_states": "no sensor sees {states:and}, states of a linear model that are estimated from past samples; "
     "with them the model predicts better",
     "fit.behind": "{state} up to {seconds:time} ahead was predicted {factor:.3g} times as well by the best simple "

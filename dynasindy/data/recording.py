@@ -16,6 +16,7 @@ not what acted during that step.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -662,16 +663,21 @@ def _columns_of(group: Mapping[str, Any], states: bool) -> dict[str, Column]:
 def _actuator_ranges(
     path: str, u: Array, inputs: Mapping[str, Column], guess: bool, findings: list[Finding]
 ) -> list[ActuatorScaling]:
-    """Return the range of each input `(N, n_u)`, as it was given or, if asked, as the log shows it; add findings."""
+    """Return the range of each input `(N, n_u)`, as it was given or, if asked, as the log shows it; add findings.
+
+    Inputs that are named alike but for a number, as motors of a drone, have one range.
+    """
+    kinds = [(re.sub(r"\d", "", name), given.unit) for name, given in inputs.items()]
+    alike = {kind: u[:, [k for k, other in enumerate(kinds) if other == kind]] for kind in kinds}
     found, one_sided, extents = dict[str, ActuatorScaling](), dict[str, ActuatorScaling](), dict[str, Any]()
-    for (name, given), values in zip(inputs.items(), u.T, strict=True):
+    for (name, given), kind, values in zip(inputs.items(), kinds, u.T, strict=True):
         least, most = float(values.min()), float(values.max())
         extent = extents[name] = {"input": name, "least": least, "most": most}
         if least == most:
             raise LogError("log.constant_input", file=path, input=name, value=least)
         if np.isin(values, (least, most)).all():
             findings.append(weak("log.two_levels", input=name, low=least, high=most))
-        reach = _guess_range(least, most, given.unit) if guess else PLAIN
+        reach = _guess_range(float(alike[kind].min()), float(alike[kind].max()), given.unit) if guess else PLAIN
         if given.low is not None and given.high is not None:
             reach = ActuatorScaling.of(given.low, given.high, given.rest)
             if reach != PLAIN and max(reach.low - least, most - reach.high) > ROUNDED * (reach.high - reach.low) / 2:

@@ -870,6 +870,8 @@ class _Search:
             findings.append(note("fit.hidden_states", states=hidden))
         if rates := [name for name in best.states if name not in known and name not in hidden]:
             findings.append(note("fit.added_rates", states=rates, known={}))
+        if model.linear_inputs:
+            findings.append(note("fit.linear_inputs", inputs=model.linear_inputs))
         if (count := int(rows.sum())) < len(data):
             stretches = int((rows.long().diff(prepend=torch.zeros(1, dtype=torch.long)) > 0).sum())
             findings.append(note("fit.fitted_to", rows=count, total=len(data), stretches=stretches))

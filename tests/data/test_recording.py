@@ -475,6 +475,17 @@ def test_an_input_with_a_unit_goes_as_far_as_its_log_though_that_is_within_one(t
     assert found.signature.input_ends == ((-0.3, 0.3),) and "log.guessed_ends" in {f.code for f in found.findings}
 
 
+def test_motors_that_are_named_alike_but_for_a_number_have_one_range(tmp_path):
+    path, steps = tmp_path / "log.csv", levels(0.0, 1.0)
+    motors = np.stack([1300 + 500 * steps, 1200 + 300 * steps[::-1], 60 * steps], 1)
+    rows = [f"{k / 10},{np.sin(k)},{a},{b},{c}" for k, (a, b, c) in enumerate(motors)]
+    path.write_text("\n".join(["time [s],level [m],motor1 [us],motor2 [us],valve [%]", *rows]))
+    found = LoggedData([str(path)], inputs=["motor1", "motor2", "valve"]).recording(None)
+    assert found.signature.in_own_units(found.transitions.u) == pytest.approx(motors[:-1])
+    ends = {each.values["input"]: each.values for each in found.findings if each.code == "log.scaled"}
+    assert [(ends[name]["low"], ends[name]["high"]) for name in ends] == [(1200, 1800), (1200, 1800), (0, 60)]
+
+
 def test_ends_of_minus_one_and_one_keep_the_numbers(tmp_path):
     values = levels(-12.0, 12.0)
     kept = {"valve": {"name": "valve", "low": -1, "high": 1}}
