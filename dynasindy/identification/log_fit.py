@@ -91,13 +91,13 @@ PRICES, SURE = (1.0, 2.0), 0.1
 HOPELESS = 1.0
 """Score behind the best one beyond which nothing dearer is tried of a candidate."""
 FAR_BEHIND = 0.5
-"""Score of equations with functions beyond which hidden states are tried before states that follow a signal."""
+"""Score of equations with functions beyond which hidden states are tried before longer simulations."""
 LEADERS = 3
 """Models that longer simulations are fitted by, those first that predict best."""
 MANY = 100
 """Functions up to which regressions choose among all of them, and beyond which those of one factor come first."""
-SHARE, HIDDEN_SHARE, LARGEST_SHARE, LAST_SHARE = 0.25, 0.35, 0.5, 0.15
-"""Part of the time that states that follow a signal may take, hidden states that are tried before them, any one
+SHARE, HIDDEN_SHARE, LARGEST_SHARE, LAST_SHARE = 0.25, 0.35, 0.3, 0.15
+"""Part of the time that states that follow a signal may take, hidden states before longer simulations, any one
 candidate, and the last fit."""
 FIRST_SHARE = 1 / 30
 """Part of the time that may have passed after the first candidate on one part, or no others are kept to judge on."""
@@ -445,6 +445,8 @@ class _Search:
             what, models = f"{of.what}{LINEAR}", [_warm_started(model) for model in of.models]
             tried = self._fit(what, models, source, self._settings(select=False), of.structure)
             linear[0] = _better(of, tried)
+            if self.best.score > 0 and (lagging := self._with_lag_states(linear[0])) is not linear[0]:
+                self._select(lagging)
         firsts = dict[tuple[str, ...], Candidate]()  # of each set of states the best one
         for each in linear:
             firsts.setdefault(each.states, each)
@@ -459,8 +461,6 @@ class _Search:
         if early := bool(linear) and self.best.score > FAR_BEHIND:  # no function explains it
             until = time.process_time() + HIDDEN_SHARE * self.refinement.seconds
             self._try_hidden_states(self._try_state_space, until=min(self.until, until))
-        if linear and self.best.score > 0 and (lagging := self._with_lag_states(linear[0])) is not linear[0]:
-            self._select(lagging)
         has_new_state = False
         if self.builder is not None and self.tried:
             self._try_larger_libraries(self._near())
