@@ -500,6 +500,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "1 keeps the numbers as they are: {inputs:data.inputs}",
     "log.resolution": "{state} is read in steps of {step:.3g}{unit:unit}{coarse:?(a sensor that cuts off reads half a "
     "step too low, which no standard error tells)}",
+    "log.repeats": "the log repeats itself every {seconds:time}, so that what the fit did not see is what it saw: try "
+    "the model on another log",
     "log.low_signal": _quiet,
     "log.touched_stop": "{count:# sample|# samples} that touched a stop {count:was|were} left out",
     "log.rate_contradicted": "{rate} was given as the rate of {state}, which the log contradicts: {state} does not "

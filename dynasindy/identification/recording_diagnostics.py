@@ -36,6 +36,8 @@ WANTED = 100.0
 """Steps that a state should move by in a log."""
 TINY = 1e-9
 """Movement of an input that is none."""
+ALIKE, APART = 0.999, 0.9
+"""Correlations of a recording with itself a while ago at which it repeats itself, and below which it has moved on."""
 
 
 def samples_of(data: Transitions) -> list[Array]:
@@ -49,6 +51,26 @@ def _all_samples_of(data: Transitions) -> list[Array]:
     taken = torch.stack([begins, torch.ones_like(begins)], -1)
     samples = torch.stack([data.x, data.x_next], 1)[taken].double()
     return [column.numpy() for column in samples.unbind(-1)]
+
+
+def repetition(data: Transitions) -> float | None:
+    """Return after which time the last quarter of a recording, and more of it, repeats what was before [s], if it does.
+
+    What is kept of it to judge a model on is then no test of that.
+    """
+    whole = data.longest_stretch()
+    columns = torch.cat([whole.u, whole.x[:, ~whole.x.isnan().any(0)]], -1).double()
+    moved: Array = ((columns - columns.mean(0)) / columns.std(0).clamp_min(TINY)).numpy()
+    count, most = len(moved), 3 * len(moved) // 4
+    if most < 2:
+        return None
+    spectrum = np.fft.rfft(moved, 2 * count, axis=0)
+    product = np.fft.irfft(np.abs(spectrum) ** 2, axis=0)[:most].sum(1)
+    energy = np.concatenate([[0.0], (moved**2).sum(1).cumsum()])
+    later = np.arange(most)
+    share = 2 * product / (energy[count - later] + energy[count] - energy[later])
+    again = np.flatnonzero((share > ALIKE) & (np.minimum.accumulate(share) < APART))
+    return None if not len(again) else (int(again[0]) + int(share[again[0] :][: again[0]].argmax())) * data.dt
 
 
 def resolutions(data: Transitions, model: SindyModel | None = None) -> Tensor:

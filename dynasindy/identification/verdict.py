@@ -11,7 +11,7 @@ from torch import Tensor
 
 from dynasindy.findings import Finding, FindingError, note, weak, wrong
 from dynasindy.identification.forecast_errors import LOST, ForecastErrors
-from dynasindy.identification.recording_diagnostics import samples_of, sensor_resolution
+from dynasindy.identification.recording_diagnostics import repetition, samples_of, sensor_resolution
 from dynasindy.identification.source import Source
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.library import Factor, Feature
@@ -275,8 +275,9 @@ def what_to_leave_out(findings: Sequence[Finding], source: Source, model: SindyM
 
 
 def recording_findings(data: Transitions, signature: Signature) -> list[Finding]:
-    """Return in which steps the sensors of a log read."""
-    findings = []
+    """Return in which steps the sensors of a log read, and whether it repeats itself."""
+    seconds = repetition(data)
+    findings = [] if seconds is None else [weak("log.repeats", seconds=seconds)]
     for name, unit, column in zip(signature.state_names, signature.state_units, samples_of(data), strict=True):
         if step := sensor_resolution(column):
             coarse = step > COARSE * float(np.ptp(column[~np.isnan(column)]))

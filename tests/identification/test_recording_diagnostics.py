@@ -15,6 +15,7 @@ from dynasindy.identification.recording_diagnostics import (
     FEW,
     low_signal_findings,
     low_signal_states,
+    repetition,
     resolution,
     resolutions,
     sensor_resolution,
@@ -23,6 +24,15 @@ from dynasindy.systems import Pendulum, Signature, rk4
 from dynasindy.systems.transitions import Transitions
 
 T = 0.01 * np.arange(3000)
+
+
+@pytest.mark.parametrize(("second", "period"), [(2.0, 10.0), (2 * math.pi, None)])
+def test_a_log_of_waves_with_one_period_repeats_itself_and_one_of_others_does_not(second, period):
+    """Waves of 10/3 s and of 10/5 s are alike every 10 s, those of times without a common multiple never quite."""
+    wave = np.sin(0.6 * math.pi * T) + np.sin(2 * math.pi / second * T)
+    x = torch.from_numpy(wave[:, None] + 0.01 * np.random.default_rng(0).normal(size=(len(T), 1)))
+    data = Transitions.from_trajectory(x, torch.from_numpy(wave[:-1, None] ** 2), 0.01)
+    assert repetition(data) == (None if period is None else pytest.approx(period, abs=0.02))
 
 
 @pytest.mark.parametrize("step", [0.0015, 0.02])
