@@ -13,14 +13,15 @@ estimated on the samples before, since what no sensor sees cannot be read off an
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.identification.recording_diagnostics import resolutions
+from dynasindy.identification.recording_diagnostics import resolutions, sensor_errors
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.reconstruction import rate_states, reconstruct, settle_lag_states
@@ -28,7 +29,7 @@ from dynasindy.sindy.regression import least_squares
 from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.sindy.world_model import variance
 from dynasindy.systems.base import Signature, turn_of
-from dynasindy.systems.equilibria import LocalModes
+from dynasindy.systems.equilibria import LocalModes, central_differences
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import MANY
 
@@ -156,8 +157,10 @@ ALIKE = 1e-9
 """Error that is as good as none where numbers of samples are compared [share of `LOST`]."""
 PAIRS = 200_000
 """Pairs of samples, about, that tell how far the states of a long recording move in a time."""
-NUDGE = 1e-6
-"""Step of the differences by which start states are fitted [ranges of the states]."""
+NUDGE, SLOPE = 1e-6, 1e-4
+"""Steps of the differences by which start states are fitted, and by which they are filtered [ranges of the states]."""
+UNKNOWN, LEAST_ERROR = 0.1, 1e-6
+"""Standard deviation of a state that no sensor sees where a filter begins, and least error of a sensor [ranges]."""
 
 HOUR = 3600.0
 """An hour [s]."""
@@ -231,8 +234,9 @@ def forecast_errors(
     # As for the linear model, the middle horizon counts: what is farther says little of where a prediction began.
     usual = [k for k in steps if k * validation.dt >= time / 10] or steps
     middle = usual[len(usual) // 2]
-    length = _length(model, training, fit, [k for k in usual if k <= middle])
-    predicted = predict_from(model, validation, starting_states(model, validation, starts, length), later)
+    length, sensors = _length(model, training, fit, [k for k in usual if k <= middle]), sensor_errors(training)
+    begin = starting_states(model, validation, starts, length, sensors)
+    predicted = predict_from(model, validation, begin, later)
     linear = LinearModel.fit(training, middle, fit)
     # The last value of each state that was measured in its segment until a start.
     places, x = torch.arange(len(validation)), validation.x
@@ -279,10 +283,10 @@ def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[
     if len(lengths) < 2 or not len(starts):
         return longest
     later, real = samples_after(data, starts, steps[-1])
-    most = LOST * torch.tensor(model.signature.x_scale, dtype=torch.float64)
+    most, unseen = LOST * torch.tensor(model.signature.x_scale, dtype=torch.float64), torch.zeros(0)
 
     def _cost(length: int) -> float:
-        predicted = predict_from(model, data, starting_states(model, data, starts, length), later)
+        predicted = predict_from(model, data, starting_states(model, data, starts, length, unseen), later)
         return float(errors_over(predicted, real, steps).clamp(ALIKE * most, most).log().nanmean())
 
     best, least = longest, math.inf
@@ -293,9 +297,62 @@ def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[
     return best
 
 
-def starting_states(model: SindyModel, data: Transitions, starts: Tensor, length: int) -> Tensor:
-    """Return the states at some rows, `(S, n_x)`, that a model tells from so many samples before each."""
-    return estimate(model, delay_inputs(data, model.delay), starts - length, length)[1]
+def starting_states(model: SindyModel, data: Transitions, starts: Tensor, length: int, sensors: Tensor) -> Tensor:
+    """Return the states at some rows, `(S, n_x)`, that a model tells from so many samples before each.
+
+    A plant that nothing else moves is where a simulation through these samples ends, one with process noise where a
+    Kalman filter ends.
+
+    Args:
+        model: a fitted model.
+        data: the recording, NaN where a state was not measured.
+        starts: the rows, `(S,)`.
+        length: the samples.
+        sensors: errors of the sensors of the first states, as `sensor_errors` tells them.
+    """
+    late = delay_inputs(data, model.delay)
+    if model.process_noise:
+        return _filtered_states(model, late, starts - length, length, sensors)
+    return estimate(model, late, starts - length, length)[1]
+
+
+def _filtered_states(model: SindyModel, data: Transitions, rows: Tensor, length: int, sensors: Tensor) -> Tensor:
+    """Return the states `(S, n_x)` of an extended Kalman filter that many samples after some rows.
+
+    Source: Simon, Optimal State Estimation (2006), section 13.2.
+    """
+    rates, n_x = rate_states(model.library, model.constraints), model.signature.n_x
+    guess = settle_lag_states(reconstruct(data, rates), model.followers)
+    scale = torch.tensor(model.signature.x_scale, dtype=torch.float64)
+    error = torch.cat([sensors.double(), scale.new_full((n_x - len(sensors),), math.nan)])
+    variance = torch.where(error.isnan(), scale, error.maximum(LEAST_ERROR * scale)).square()
+    noise = torch.full_like(scale, model.process_noise)
+    noise[list(rates.values())] = 0.0  # a place moves by its rate alone
+    pushed = torch.diag((noise * scale).square() * data.dt)
+    first = torch.where(error.isnan(), (UNKNOWN * scale).square(), variance)
+    x, covariance = guess.x[rows].double(), torch.diag(first).expand(len(rows), n_x, n_x)
+    for row in (rows + k for k in range(length)):
+        ahead = partial(_simulated, model, inputs=data.inputs_of(row.reshape(-1, 1, 1)), dt=data.dt)
+        moved, slopes = _slopes(ahead, x, SLOPE * scale)
+        spread = slopes @ covariance @ slopes.mT + pushed
+        sound = moved.isfinite().all(-1) & spread.isfinite().all((-2, -1))
+        x, covariance = (
+            torch.where(sound.unsqueeze(-1), moved, x),
+            torch.where(sound[:, None, None], spread, covariance),
+        )
+        seen = ~data.x_next[row].isnan()
+        pick, off = torch.diag_embed(seen.double()), torch.where(seen, data.x_next[row] - x, 0.0)
+        total = pick @ covariance @ pick + torch.diag_embed(torch.where(seen, variance, 1.0))
+        gain = torch.linalg.solve_ex(total, pick @ covariance)[0].mT
+        x = x + (gain @ off.unsqueeze(-1)).squeeze(-1)
+        covariance = covariance - gain @ pick @ covariance
+        covariance = 0.5 * (covariance + covariance.mT)
+    return x
+
+
+def _slopes(ahead: Callable[[Tensor], Tensor], x: Tensor, steps: Tensor) -> tuple[Tensor, Tensor]:
+    """Return states after an interval, `(S, n_x)`, and their slopes by those before it, `(S, n_x, n_x)`."""
+    return central_differences(lambda off: ahead(x.unsqueeze(-2) + off).squeeze(-2), steps)
 
 
 def predict_from(model: SindyModel, data: Transitions, begin: Tensor, later: Tensor) -> Tensor:
@@ -319,9 +376,9 @@ def predict_ahead(model: SindyModel, training: Transitions, data: Transitions, s
     longest = int(starts.max())
     length = _length(model, training, min(LONGEST_FIT, longest), [steps]) if len(starts) > 1 else longest
     begin = torch.zeros(len(starts), model.signature.n_x, dtype=torch.float64)
-    before = starts.clamp_max(length)
+    before, sensors = starts.clamp_max(length), sensor_errors(training)
     for count in before.unique().tolist():
-        begin[before == count] = starting_states(model, data, starts[before == count], count)
+        begin[before == count] = starting_states(model, data, starts[before == count], count, sensors)
     return predict_from(model, data, begin, starts.unsqueeze(-1) + torch.arange(steps))
 
 

@@ -62,6 +62,9 @@ KEPT = 0.25
 """Part of the training data that candidates are judged on at a time."""
 MOST = 200
 """Samples before a start on which its states may be estimated, at most."""
+HALVED, NOISES = 6, (0.003, 0.03, 0.3)
+"""How often that number is halved, for a plant that nothing else moves, and the process noise of others [ranges of the
+states after a second]."""
 SOONEST, SLOWEST = 0.02, 3
 """First and last time ahead over which candidates are judged [times in which the slowest state changes]."""
 LOST = 1e3
@@ -197,6 +200,7 @@ class HoldOut:
         before: samples before each start on which its states may be estimated.
         others: errors of simple models over each horizon, `(M, H, n_x)`.
         floor: error that is as good as none, `(n_x,)`.
+        sensors: errors of the sensors, `(n_x,)`.
     """
 
     early: Tensor
@@ -208,6 +212,7 @@ class HoldOut:
     before: int
     others: Tensor
     floor: Tensor
+    sensors: Tensor
 
     @classmethod
     def folds(cls, source: Source) -> list[HoldOut]:
@@ -218,7 +223,7 @@ class HoldOut:
         data = source.training
         place, length = torch.arange(len(data)), round(KEPT * len(data))
         ends = [len(data) - k * length for k in range(FOLDS if len(data) < SHORT else 1)]
-        errors = sensor_errors(data).nan_to_num()
+        errors = sensor_errors(data)
         found = [cls._of(source, (place < end - length) | (place >= end), errors) for end in ends]
         return [each for each in found if each is not None]
 
@@ -240,7 +245,7 @@ class HoldOut:
         held = reconstruct(kept, {}).x[starts].unsqueeze(1).expand_as(real)
         deviation = variance(data.x_next).sqrt()
         spread = (data.x_next - data.x_next.nanmean(0)).abs().nan_to_num().amax(0)
-        floor = torch.maximum(least, EXACT * spread)
+        floor = torch.maximum(least.nan_to_num(), EXACT * spread)
         steps = _horizon_samples(last, SOONEST * slow / data.dt)
         if linear:
             # How far ahead an unstable plant can be predicted, the linear model tells that is the best one at first: in
@@ -254,7 +259,7 @@ class HoldOut:
                 steps = _horizon_samples(last, SOONEST / SLOWEST * last)
         errors = torch.stack([errors_over(guess, real, steps) for guess in [*linear, held]])
         later, real = later[:, : steps[-1]], real[:, : steps[-1]]
-        return cls(early, kept, steps, starts, later, real, before, errors, floor)
+        return cls(early, kept, steps, starts, later, real, before, errors, floor, least)
 
     @cached_property
     def simple(self) -> Tensor:
@@ -269,30 +274,33 @@ class HoldOut:
     def errors(self, model: SindyModel, source: Source) -> Tensor:
         """Return the errors of a model over each horizon, `(H, n_x)`, by the best way to estimate where it starts."""
         near = -(-len(self.steps) // 2)  # what is farther says little of where a prediction began
-        found = self._begin(model, source, near, lambda each: float(each.clamp_max(1e9).log().nanmean()))
-        if found is None:
+        begin = self.estimate_starts(model, source, near, lambda each: float(each.clamp_max(1e9).log().nanmean()))
+        if begin is None:
             return torch.full_like(self.simple, math.inf)
-        return self._errors_from(model, source, found[1], len(self.steps))
+        return self._errors_from(model, source, begin, len(self.steps))
 
-    def memory(self, model: SindyModel, source: Source) -> float:
-        """Return of how much of the past the states of a model are best estimated, by all horizons [s]; 0 of none."""
-        found = self._begin(model, source, len(self.steps), self.score)
-        return 0.0 if found is None else found[0] * source.training.dt
-
-    def _begin(
+    def estimate_starts(
         self, model: SindyModel, source: Source, count: int, cost: Callable[[Tensor], float]
-    ) -> tuple[int, Tensor] | None:
-        """Return on how many samples states are best estimated, by the cost of errors over so many horizons, and them.
+    ) -> Tensor | None:
+        """Let a model estimate states on as many samples, with as much process noise, as is best; return those states.
 
-        They are `(S, n_x)`; None where every model of them runs away.
+        What is best, errors over so many horizons and their cost tell. The states are those at the starts, `(S, n_x)`;
+        None where all predictions run away.
         """
-        kept, best, least = source.training.select(~self.early), None, math.inf
-        for length in dict.fromkeys(max(3, self.before >> k) for k in range(6)):
+        kept, found = source.training.select(~self.early), list[tuple[float, Tensor | None, float, float]]()
+        lengths = dict.fromkeys(max(3, self.before >> k) for k in range(HALVED))
+        for length, noise in (*((self.before, q) for q in NOISES), *((each, 0.0) for each in lengths)):
+            least, begin = math.inf, None
             with _attempt():
-                begin = starting_states(model, kept, self.starts, length)
-                if (now := cost(self._errors_from(model, source, begin, count))) < least:
-                    best, least = (length, begin), now
-        return best
+                model.process_noise = noise
+                begin = starting_states(model, kept, self.starts, length, self.sensors)
+                least = cost(self._errors_from(model, source, begin, count))
+            worse = bool(found) and not noise and not found[-1][-1] and least > found[-1][0]
+            found.append((least, begin, length * kept.dt, noise))
+            if worse:
+                break  # fewer samples would be worse still
+        least, begin, model.memory, model.process_noise = min(found, key=lambda each: each[0])
+        return begin if least < math.inf else None
 
     def _errors_from(self, model: SindyModel, source: Source, begin: Tensor, count: int) -> Tensor:
         """Return errors over the first horizons from states on, `(count, n_x)`."""
@@ -862,7 +870,9 @@ class _Search:
             with self._time_limit(until if settings.method == "trajectory" else math.inf) as ended:
                 report = model.fit(data.select(rows))
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
-        model.memory = self.folds[0].memory(best.model, best.source)
+        fold = self.folds[0]
+        fold.estimate_starts(best.model, best.source, len(fold.steps), fold.score)
+        model.memory, model.process_noise = best.model.memory, best.model.process_noise
         seconds = self.folds[0].steps[-1] * data.dt
         findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), what=best.what, seconds=seconds)]
         known = self.source.signature.state_names

@@ -95,8 +95,8 @@ class SindyModel(WorldModel):
     `covariance` tells after a fit how well the coefficients are known; None where nothing does. `findings` holds what
     `dynasindy.identify` found, `linear_inputs` the names of the inputs that moved in straight lines between the samples
     of the log, where others are held, `memory` on how much of the past states were best estimated [s], 0 where nothing
-    told, and `places` which functions are left of a library that was cut to the size of the data; it is empty where the
-    library is whole.
+    told, `process_noise` with which [ranges of the states after a second], and `places` which functions are left of a
+    library that was cut to the size of the data; it is empty where the library is whole.
 
     Raises:
         ValueError: a name of a state, an input or a function does not exist, or `time` is another word.
@@ -120,7 +120,7 @@ class SindyModel(WorldModel):
         super().__init__(signature)
         self.findings: tuple[Finding, ...] = ()
         self.linear_inputs: tuple[str, ...] = ()
-        self.memory = 0.0
+        self.memory, self.process_noise = 0.0, 0.0
         if time not in (None, "continuous", "discrete", "auto"):
             word = setting("world_model.time")
             raise ValueError(f"{word} is {time!r}; allowed are continuous, discrete and auto: choose one")
@@ -459,6 +459,7 @@ class SindyModel(WorldModel):
             "delay": self.delay,
             "linear_inputs": list(self.linear_inputs),
             "memory": self.memory,
+            "process_noise": self.process_noise,
             "step": library.step,
             "uncertainty": self.covariance and _uncertainty(library, *self.covariance),
             "refinement": self.refinement and asdict(self.refinement),
@@ -713,15 +714,20 @@ def _covariance(library: Library, data: dict[str, Any] | None) -> Covariance | N
 
 def _read(data: dict[str, Any]) -> SindyModel:
     words, step = data["signature"], data.get("step")
-    delay, memory = data.get("delay", 0.0), data.get("memory", 0.0)
-    if isinstance(step, bool) or isinstance(delay, bool) or isinstance(memory, bool):
-        raise TypeError(f"its delay is {delay}, its memory {memory} and its step {step}; allowed are numbers")
+    delay, memory, noise = (data.get(key, 0.0) for key in ("delay", "memory", "process_noise"))
+    if any(isinstance(each, bool) for each in (step, delay, memory, noise)):
+        raise TypeError(
+            f"its delay is {delay}, its memory {memory}, its process noise {noise} and its step {step}; allowed are "
+            "numbers"
+        )
     if not all(isinstance(given, list) for given in words.values()) or len(words["state_names"]) > LARGEST_SYSTEM:
         raise TypeError(f"its signature is no lists of names, units and ranges of up to {LARGEST_SYSTEM} states")
-    if not (0 <= delay <= LONGEST and 0 <= memory <= LONGEST) or (step is not None and not 0 < step <= LONGEST):
+    if not all(0 <= each <= LONGEST for each in (delay, memory, noise)) or (
+        step is not None and not 0 < step <= LONGEST
+    ):
         raise TypeError(
-            f"its delay is {delay} s, its memory {memory} s and its step {step} s; allowed are times up to "
-            f"{LONGEST:g} s"
+            f"its delay is {delay} s, its memory {memory} s, its process noise {noise} and its step {step} s; allowed "
+            f"are numbers up to {LONGEST:g}"
         )
     signature, given = Signature(**words), data.get("constraints", {})
     library = Library(signature, map(Feature.from_list, data["library"].values()), step=step)
@@ -732,7 +738,7 @@ def _read(data: dict[str, Any]) -> SindyModel:
         for name, value in data["coefficients"][state].items():
             found[place[name] if name in place else library.index(name), i] = value
     model.set_coefficients(found)
-    model.delay, model.memory = float(delay), float(memory)
+    model.delay, model.memory, model.process_noise = float(delay), float(memory), float(noise)
     model.covariance = _covariance(library, data.get("uncertainty"))
     model.refinement = Refinement(**data["refinement"]) if data.get("refinement") else None
     numbers = [found, model.constraints.offset, *([model.covariance.factor] if model.covariance else [])]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from plants import held_motion
+from scipy.linalg import expm
 
 from dynasindy.identification.forecast_errors import (
     LinearModel,
@@ -14,6 +15,7 @@ from dynasindy.identification.forecast_errors import (
     estimate,
     forecast_errors,
     predict_ahead,
+    starting_states,
 )
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
@@ -70,6 +72,31 @@ def test_a_start_is_estimated_on_its_own_past_however_early_others_are():
     data, _ = recording(noise=0.01)
     late, both = (predict_ahead(oscillator(), data, data, torch.tensor(s), 50)[-2:] for s in ([30, 400], [3, 30, 400]))
     torch.testing.assert_close(late, both)
+
+
+def test_states_of_a_plant_with_process_noise_are_those_of_a_kalman_filter():
+    rng, a, noise, error = np.random.default_rng(0), expm(DT * np.array([[0, 1], [-(OMEGA**2), 0]])), 0.3, 0.01
+    x, seen = np.zeros((401, 2)), np.zeros(401)
+    for k in range(400):
+        x[k + 1] = a @ x[k] + [0.0, noise * math.sqrt(DT) * rng.normal()]
+        seen[k + 1] = x[k + 1, 0] + error * rng.normal()
+    y = torch.from_numpy(np.stack([seen, np.full(401, np.nan)], -1))
+    data, model, rows = Transitions.from_trajectory(y, torch.zeros(400, 1), DT), oscillator(), np.arange(100, 400, 10)
+    drawn, p = np.diag([0.0, noise**2 * DT]), np.diag([error**2, 1.0])
+    for _ in range(1000):  # Riccati's equation, by its own steps
+        ahead = a @ p @ a.T + drawn
+        gain = ahead[:, :1] / (ahead[0, 0] + error**2)
+        p = ahead - gain @ ahead[:1]
+    expected = np.zeros((401, 2))
+    for k in range(400):
+        now = a @ expected[k]
+        expected[k + 1] = now + gain[:, 0] * (seen[k + 1] - now[0])
+    model.process_noise = noise
+    found = starting_states(model, data, torch.from_numpy(rows), 90, torch.tensor([error, math.nan]))
+    assert found.numpy() == pytest.approx(expected[rows], abs=1e-4)
+    model.process_noise = 0.0
+    simulated = starting_states(model, data, torch.from_numpy(rows), 90, torch.tensor([error, math.nan])).numpy()
+    assert 2 * np.abs(found.numpy() - x[rows]).mean() < np.abs(simulated - x[rows]).mean()
 
 
 def test_noise_of_the_sensor_is_averaged_over_the_fit():
