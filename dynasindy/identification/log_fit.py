@@ -62,9 +62,8 @@ KEPT = 0.25
 """Part of the training data that candidates are judged on at a time."""
 MOST = 200
 """Samples before a start on which its states may be estimated, at most."""
-HALVED, NOISES = 6, (0.003, 0.03, 0.3)
-"""How often that number is halved, for a plant that nothing else moves, and the process noise of others [ranges of the
-states after a second]."""
+NOISES = 0.003, 0.01, 0.03, 0.1, 0.3
+"""Process noise with which states are filtered in trial [ranges of the states after a second]."""
 SOONEST, SLOWEST = 0.02, 3
 """First and last time ahead over which candidates are judged [times in which the slowest state changes]."""
 LOST = 1e3
@@ -271,36 +270,28 @@ class HoldOut:
         rows = self.early.nonzero().flatten()
         return torch.zeros_like(self.early).index_fill(0, rows[choose_stretches(len(rows), ROWS, window)], True)
 
-    def errors(self, model: SindyModel, source: Source) -> Tensor:
-        """Return the errors of a model over each horizon, `(H, n_x)`, by the best way to estimate where it starts."""
-        near = -(-len(self.steps) // 2)  # what is farther says little of where a prediction began
-        begin = self.estimate_starts(model, source, near, lambda each: float(each.clamp_max(1e9).log().nanmean()))
-        if begin is None:
-            return torch.full_like(self.simple, math.inf)
-        return self._errors_from(model, source, begin, len(self.steps))
+    def errors(self, model: SindyModel, source: Source, filtered: bool = False) -> Tensor:
+        """Return the errors of a model over each horizon, `(H, n_x)`, by the best way to estimate where it starts.
 
-    def estimate_starts(
-        self, model: SindyModel, source: Source, count: int, cost: Callable[[Tensor], float]
-    ) -> Tensor | None:
-        """Let a model estimate states on as many samples, with as much process noise, as is best; return those states.
-
-        What is best, errors over so many horizons and their cost tell. The states are those at the starts, `(S, n_x)`;
-        None where all predictions run away.
+        That is on as many samples as are best. To compare models nearer horizons tell it, as what is farther says
+        little of where a prediction began. For good it is told by all, and `filtered` with the best process noise, too.
         """
-        kept, found = source.training.select(~self.early), list[tuple[float, Tensor | None, float, float]]()
-        lengths = dict.fromkeys(max(3, self.before >> k) for k in range(HALVED))
-        for length, noise in (*((self.before, q) for q in NOISES), *((each, 0.0) for each in lengths)):
-            least, begin = math.inf, None
+        count = len(self.steps) if filtered else -(-len(self.steps) // 2)
+        lengths = dict.fromkeys(max(3, self.before >> k) for k in range(6))
+        kept, best, least = source.training.select(~self.early), None, math.inf
+        chosen = model.memory, model.process_noise
+        for length, noise in (*((each, 0.0) for each in lengths), *((self.before, q) for q in NOISES if filtered)):
             with _attempt():
                 model.process_noise = noise
                 begin = starting_states(model, kept, self.starts, length, self.sensors)
-                least = cost(self._errors_from(model, source, begin, count))
-            worse = bool(found) and not noise and not found[-1][-1] and least > found[-1][0]
-            found.append((least, begin, length * kept.dt, noise))
-            if worse:
-                break  # fewer samples would be worse still
-        least, begin, model.memory, model.process_noise = min(found, key=lambda each: each[0])
-        return begin if least < math.inf else None
+                errors = self._errors_from(model, source, begin, count)
+                cost = self.score(errors) if filtered else float(errors.clamp_max(1e9).log().nanmean())
+                if cost < least:
+                    best, least, chosen = begin, cost, (length * kept.dt, noise)
+        model.memory, model.process_noise = chosen
+        if best is None:
+            return torch.full_like(self.simple, math.inf)
+        return self._errors_from(model, source, best, len(self.steps))
 
     def _errors_from(self, model: SindyModel, source: Source, begin: Tensor, count: int) -> Tensor:
         """Return errors over the first horizons from states on, `(count, n_x)`."""
@@ -870,8 +861,8 @@ class _Search:
             with self._time_limit(until if settings.method == "trajectory" else math.inf) as ended:
                 report = model.fit(data.select(rows))
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
-        fold = self.folds[0]
-        fold.estimate_starts(best.model, best.source, len(fold.steps), fold.score)
+        judged = zip(self.folds, best.models, best.errors, strict=False)
+        best = replace(best, errors=[fold.errors(each, best.source, filtered=True) for fold, each, _ in judged])
         model.memory, model.process_noise = best.model.memory, best.model.process_noise
         seconds = self.folds[0].steps[-1] * data.dt
         findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), what=best.what, seconds=seconds)]

@@ -174,11 +174,11 @@ def test_a_search_without_time_keeps_its_first_candidate():
 def test_a_search_that_is_interrupted_keeps_the_best_candidate(monkeypatch):
     plain, count = module.HoldOut.errors, []
 
-    def _errors(self, *given):
+    def _errors(self, *given, **how):
         count.append(1)
         if len(count) == 6:
             raise KeyboardInterrupt
-        return plain(self, *given)
+        return plain(self, *given, **how)
 
     monkeypatch.setattr(module.HoldOut, "errors", _errors)
     found = fitted(noisy_tank())
