@@ -283,10 +283,10 @@ def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[
     if len(lengths) < 2 or not len(starts):
         return longest
     later, real = samples_after(data, starts, steps[-1])
-    most, unseen = LOST * torch.tensor(model.signature.x_scale, dtype=torch.float64), torch.zeros(0)
+    most = LOST * torch.tensor(model.signature.x_scale, dtype=torch.float64)
 
     def _cost(length: int) -> float:
-        predicted = predict_from(model, data, starting_states(model, data, starts, length, unseen), later)
+        predicted = predict_from(model, data, starting_states(model, data, starts, length), later)
         return float(errors_over(predicted, real, steps).clamp(ALIKE * most, most).log().nanmean())
 
     best, least = longest, math.inf
@@ -297,7 +297,9 @@ def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[
     return best
 
 
-def starting_states(model: SindyModel, data: Transitions, starts: Tensor, length: int, sensors: Tensor) -> Tensor:
+def starting_states(
+    model: SindyModel, data: Transitions, starts: Tensor, length: int, sensors: Tensor | None = None
+) -> Tensor:
     """Return the states at some rows, `(S, n_x)`, that a model tells from so many samples before each.
 
     A plant that nothing else moves is where a simulation through these samples ends, one with process noise where a
@@ -308,10 +310,11 @@ def starting_states(model: SindyModel, data: Transitions, starts: Tensor, length
         data: the recording, NaN where a state was not measured.
         starts: the rows, `(S,)`.
         length: the samples.
-        sensors: errors of the sensors of the first states, as `sensor_errors` tells them.
+        sensors: errors of the sensors of the first states, as `sensor_errors` tells them, of the recording if omitted.
     """
     late = delay_inputs(data, model.delay)
     if model.process_noise:
+        sensors = sensor_errors(data) if sensors is None else sensors
         return _filtered_states(model, late, starts - length, length, sensors)
     return estimate(model, late, starts - length, length)[1]
 
