@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 from controllers import PENDULUM, pendulum_controller
-from plants import A, B, spring
+from plants import A, B, Plant, spring
 
 from dynasindy.agents import actor
 from dynasindy.control import Controller, Observer, load, save
@@ -24,7 +24,7 @@ from dynasindy.evaluation.disturbances import PerturbedPlant
 from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.safe_io import DamagedFileError
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Pendulum, Signature, Stops, System
+from dynasindy.systems import Pendulum, Stops
 
 WORDS = ["u", "Omega", "sin(theta)"]
 COUNT = 2 * math.pi / 4096
@@ -99,19 +99,9 @@ def test_it_is_shown_how_fast_the_reference_moves():
     assert np.abs(blind - inputs).max() > 1e-3
 
 
-class Driven(System):
-    """A place that two inputs move, x' = u1 + 10 u2."""
-
-    def __init__(self):
-        super().__init__(Signature(("x",), ("m",), ("u1", "u2"), (1.0,)))
-
-    def forward(self, x, u):
-        return u[..., :1] + 10 * u[..., 1:]
-
-
 def constant():
-    """Return a controller of that place whose action is constant."""
-    plant = Driven()
+    """Return a controller whose action is constant, of a place that two inputs move."""
+    plant = Plant("x", lambda x, one, two: [one + 10 * two], inputs="one two")
     task = Tracking(plant.signature, Step([[0.0]]), ("x",), (), TrackingReward((1.0,)))
     observer = Observer(plant, Sensors({"x": {}}), ControlSetup(task, 0.1))
     observer.load_state_dict({"process_noise": [0.01], "nis": 1.0})
@@ -366,15 +356,8 @@ def test_on_a_linear_plant_it_solves_the_steady_state_equations():
     assert shift[0, 2].item() == pytest.approx(-0.15) and shift[0, 3].item() == pytest.approx(-0.15)
 
 
-class Crane(System):
-    """A weight on an arm: v' = -sin(p) + tanh(u) - 0.3 v, of which no slope is that of a chord."""
-
-    def __init__(self):
-        super().__init__(Signature(("p", "v"), ("rad", "rad/s"), ("u",), (1.5, 3.0)))
-
-    def forward(self, x, u):
-        p, v = x.unbind(-1)
-        return torch.stack([v, torch.tanh(u[..., 0]) - torch.sin(p) - 0.3 * v], -1)
+CRANE = Plant("p v", lambda p, v, u: [v, torch.tanh(u) - torch.sin(p) - 0.3 * v], (1.5, 3.0))
+"""A weight on an arm, of which no slope is that of a chord."""
 
 
 def test_a_push_on_a_curved_plant_is_counteracted_by_newton_s_steps():
@@ -384,30 +367,23 @@ def test_a_push_on_a_curved_plant_is_counteracted_by_newton_s_steps():
     shift, left = torch.zeros(3, dtype=torch.float64), []
     wanted = 0.2 - math.atanh(math.tanh(0.2) - 0.2)
     for _ in range(5):
-        shift = counteracted(Crane(), x, u, push, shift)
+        shift = counteracted(CRANE, x, u, push, shift)
         left.append(abs(float(shift[2]) - wanted))
     assert left[1] < 1e-6 and left[-1] < 1e-8
     assert shift[:2].abs().max() < 1e-8
 
 
-class Weathercock(System):
-    """A cart that a vane at an angle q pushes: v' = u - sin(q), which is the same a turn of the vane away."""
-
-    def __init__(self):
-        super().__init__(Signature(("p", "v", "q"), ("m", "m/s", "rad"), ("u",), (1.0, 1.0, 1.5)))
-
-    def forward(self, x, u):
-        _, v, q = x.unbind(-1)
-        return torch.stack([v, u[..., 0] - torch.sin(q), 0 * q], -1)
+WEATHERCOCK = Plant("p v q", lambda p, v, q, u: [v, u - torch.sin(q), 0 * q], (1.0, 1.0, 1.5))
+"""A cart that a vane at an angle q pushes, which is the same a turn of the vane away."""
 
 
 def test_a_push_is_not_counteracted_by_a_turn_of_what_is_not_tracked():
     x, u = torch.zeros(3, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
     push, turned = torch.tensor([0.2], dtype=torch.float64), torch.tensor([0, 0, 2 * math.pi, 0], dtype=torch.float64)
-    shift = counteracted(Weathercock(), x, u, push, turned)
+    shift = counteracted(WEATHERCOCK, x, u, push, turned)
     assert shift[2].abs() < 1.5
     for _ in range(5):
-        shift = counteracted(Weathercock(), x, u, push, shift)
+        shift = counteracted(WEATHERCOCK, x, u, push, shift)
     # u - du - sin(q - dq) = u - sin(q) + push
     assert float(torch.sin(shift[2]) - shift[3]) == pytest.approx(0.2, abs=1e-3)
 
@@ -474,19 +450,9 @@ def test_an_input_stays_between_its_ends_with_a_push_and_without_one():
     assert shifted(start)["action"].flatten().tolist() == [0.0, 0.5, 0.5]
 
 
-class Vessel(System):
-    """A vessel that empties in some 50 s: dx/dt = 0.05 u - 0.02 x."""
-
-    def __init__(self):
-        super().__init__(Signature(("level", "flow"), ("cm", "cm3/s"), ("u",), (2.0, 1.0)))
-
-    def forward(self, x, u):
-        return torch.stack([0.05 * u[..., 0] - 0.02 * x[..., 0], 0.5 * (u[..., 0] - x[..., 1])], -1)
-
-
 def test_a_plant_without_rates_is_pushed_on_what_is_measured_at_its_own_pace():
-    """At rest 0 = 0.05 (0.4 r + r - x) - 0.02 x + 0.01, which leaves x - r = 0.01 / 0.07 cm."""
-    plant = Vessel()
+    """A vessel empties in some 50 s: 0 = 0.05 (0.4 r + r - x) - 0.02 x + 0.01, which leaves x - r = 0.01 / 0.07 cm."""
+    plant = Plant("level flow", lambda x, flow, u: [0.05 * u - 0.02 * x, 0.5 * (u - flow)], (2.0, 1.0))
     task = Tracking(plant.signature, Step([[0.0]]), ["level"], [], TrackingReward([1.0]))
     env, rng = ControlEnv(plant, task, 1.0, 1, dtype=torch.float64), torch.Generator().manual_seed(0)
 

@@ -16,28 +16,16 @@ from dynasindy.envs import Multisine
 from dynasindy.findings import Finding, note
 from dynasindy.identification.source import Source, closest_period
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Signature, System
+from dynasindy.systems import Signature
 from dynasindy.workbench import tracking_task
 
 NAMES = ["p", "v", "u"]
-
-
-class Spring(System):
-    """p' = v, v' = w^2 (u - p) - 2 z w v."""
-
-    def __init__(self, hertz, damping):
-        super().__init__(Signature(("p", "v"), ("m", "m/s"), ("u",), (1.0, 60.0)))
-        self.w, self.damping = 2 * math.pi * hertz, damping
-
-    def forward(self, x, u):
-        p, v = x.unbind(-1)
-        return torch.stack((v, self.w**2 * (u[..., 0] - p) - 2 * self.damping * self.w * v), -1)
+SIGNATURE = Signature(("p", "v"), ("m", "m/s"), ("u",), (1.0, 60.0))
 
 
 def known(hertz, damping):
-    """Return a model with the equations of the spring."""
-    spring = Spring(hertz, damping)
-    model, w = SindyModel(spring.signature, library=NAMES), spring.w
+    """Return a model of a spring, p' = v, v' = w^2 (u - p) - 2 z w v."""
+    model, w = SindyModel(SIGNATURE, library=NAMES), 2 * math.pi * hertz
     rows = {"p": (0.0, -w * w), "v": (1.0, -2 * damping * w), "u": (0.0, w * w)}
     model.coefficients = torch.tensor([rows[name] for name in model.library.names], dtype=torch.float64)
     return model
@@ -47,7 +35,7 @@ def known(hertz, damping):
 def recorded():
     """Return four seconds of a spring."""
     u = Multisine(1, duration=4, dt=0.05, amplitude=[0.8], seed=0).samples(0.01)
-    return record_plant(Spring(2.0, 0.2), u, 0.01)
+    return record_plant(known(2.0, 0.2), u, 0.01)
 
 
 def logged(dt, signature):

@@ -23,6 +23,18 @@ class Linear(System):
         return x @ self.a.to(x).mT + u @ self.b.to(x).mT
 
 
+class Plant(System):
+    """A plant that is written as its equations: its rates, as a function of each state and each input."""
+
+    def __init__(self, names, rates, scale=None, inputs="u"):
+        states, inputs = tuple(names.split()), tuple(inputs.split())
+        super().__init__(Signature(states, ("-",) * len(states), inputs, scale or (1.0,) * len(states)))
+        self.rates = rates
+
+    def forward(self, x, u):
+        return torch.stack(self.rates(*x.unbind(-1), *u.unbind(-1)), -1)
+
+
 A = torch.tensor([[0.0, 1.0, 0.0], [-4.0, -0.8, 2.0], [0.0, 0.0, -3.0]], dtype=torch.float64)
 B = torch.tensor([[0.0], [0.0], [3.0]], dtype=torch.float64)
 """A mass `p` on a spring, pushed by a motor `m` that lags."""

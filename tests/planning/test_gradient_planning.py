@@ -7,7 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from scipy.linalg import expm, solve_discrete_are
+from plants import Plant
+from scipy.linalg import solve_discrete_are
+from scipy.signal import cont2discrete
 from torch import nn
 
 from dynasindy.agents import Actor
@@ -19,7 +21,7 @@ from dynasindy.planning.imitation import _better, _starts, imagined_rewards, imp
 from dynasindy.planning.plan_settings import PlanSettings
 from dynasindy.planning.rollout import Rows, imagine
 from dynasindy.sindy import LearnedReward
-from dynasindy.systems import Diverged, Signature, System, Xi
+from dynasindy.systems import Diverged, Xi
 
 
 @torch.no_grad()
@@ -62,19 +64,10 @@ def test_a_phase_goes_on_from_a_regulator_where_its_updates_lead_nowhere(mapped)
     assert float(error) < 0.05
 
 
-class Motor(System):
-    """A motor without load, whose current is what its voltage is beyond the speed, over a small resistance."""
-
-    def __init__(self):
-        super().__init__(Signature(("speed", "current"), ("rad/s", "A"), ("u",), (1.0, 1.0)))
-
-    def forward(self, x, u):
-        speed, current = x.unbind(-1)
-        return torch.stack((2 * current - 0.05 * speed, 40 * (u[..., 0] - speed - 0.1 * current)), -1)
-
-
 def test_a_bound_that_weaker_inputs_cannot_keep_is_kept_by_those_of_the_model():
-    plant, ends, reward = Motor(), {"low": [0.1], "high": [0.6]}, TrackingReward([4.0])
+    """A motor without load, whose current is what its voltage is beyond the speed, over a small resistance."""
+    plant = Plant("speed current", lambda w, i, u: [2 * i - 0.05 * w, 40 * (u - w - 0.1 * i)])
+    ends, reward = {"low": [0.1], "high": [0.6]}, TrackingReward([4.0])
     narrow, begin = {"current": [-0.15, 0.15]}, {"speed": 0.1}
     task = Tracking(plant.signature, RandomStep(**ends), ["speed"], [], reward, 40, **ends, bounds=narrow, start=begin)
     torch.manual_seed(2)
@@ -102,22 +95,12 @@ def test_the_actor_of_the_agent_itself_learns_and_td3_goes_on_from_it(setting, s
     assert sorted(learnt.tolist()) == sorted(weights(agent.policy).tolist())
 
 
-class Oven(System):
-    """x' = u - y - y^3 / 5 of the distance y = x - zero from the temperature outside."""
-
-    def __init__(self, zero):
-        super().__init__(Signature(("x",), ("K",), ("u",), (1.0,)))
-        self.zero = zero
-
-    def forward(self, x, u):
-        y = x - self.zero
-        return u - y - y**3 / 5
-
-
 def test_a_policy_learns_alike_wherever_the_zero_of_a_scale_lies():
+    """An oven, x' = u - y - y^3 / 5 of the distance y = x - zero from the temperature outside."""
     acts, away = [], torch.linspace(-0.5, 0.5, 11).unsqueeze(-1)
     for zero in (0.0, 16.0):
-        plant, ends = Oven(zero), {"low": [zero - 0.5], "high": [zero + 0.5]}
+        plant = Plant("x", lambda x, u, zero=zero: [u - (x - zero) - (x - zero) ** 3 / 5])
+        ends = {"low": [zero - 0.5], "high": [zero + 0.5]}
         reward = TrackingReward([4.0], error_shape="linear")
         task = Tracking(plant.signature, RandomStep(**ends), ["x"], [], reward, 60, start={"x": zero}, **ends)
         actor = Actor(task.n_o, 1, hidden=(32, 32))
@@ -267,25 +250,14 @@ def test_a_resumed_plan_says_what_the_plan_before_it_chose(setting, small):
     assert second.settings() == first.settings() != {}
 
 
-class Spring(System):
-    """x' = v, v' = 2 u - x - v / 2."""
-
-    def __init__(self):
-        super().__init__(Signature(("x", "v"), ("m", "m/s"), ("u",), (1.0, 1.0)))
-
-    def forward(self, x, u):
-        return torch.stack((x[..., 1], 2.0 * u[..., 0] - x[..., 0] - 0.5 * x[..., 1]), -1)
-
-
 def test_without_references_the_plan_is_as_good_as_the_regulator_of_the_textbook(settle):
     """The task pays a quadratic form of states and inputs, whose best law solves a Riccati equation."""
     price = 3.0
     a, b = np.array([[0.0, 1.0], [-1.0, -0.5]]), np.array([[0.0], [2.0]])
-    exact = expm(0.1 * np.block([[a, b], [np.zeros((1, 3))]]))
-    a, b = exact[:2, :2], exact[:2, 2:]
+    a, b, *_ = cont2discrete((a, b, np.eye(2), np.zeros((2, 1))), 0.1)
     p = solve_discrete_are(a, b, np.eye(2), [[price]])
     gain = torch.tensor(np.linalg.solve(price + b.T @ p @ b, b.T @ p @ a), dtype=torch.float32)
-    plant = Spring()
+    plant = Plant("x v", lambda x, v, u: [v, 2.0 * u - x - 0.5 * v])
     env = ControlEnv(plant, settle(plant.signature, price=price, max_steps=60), 0.1, 1)
     agent = Actor(2, 1, hidden=(16, 16))
     starts = env.start_from(env.task.initial_state(torch.Size((32,)), torch.Generator().manual_seed(1)))
@@ -332,14 +304,8 @@ def test_one_episode_of_two_is_late_by_as_much_as_may_be(setting, small):
 HERE, THERE, PERIODS = -0.3, 1.0, 40
 
 
-class Sledge(System):
-    """A sledge on a line that goes at most 1 m/s."""
-
-    def __init__(self):
-        super().__init__(Signature(("p",), ("m",), ("speed",), (1.0,)))
-
-    def forward(self, x, u):
-        return u
+SLEDGE = Plant("p", lambda p, speed: [speed], inputs="speed")
+"""A sledge on a line that goes at most 1 m/s."""
 
 
 def two_hills(x, u, x_next):
@@ -349,7 +315,7 @@ def two_hills(x, u, x_next):
 
 
 def setting():
-    env = ControlEnv(Sledge(), LearnedReward(Sledge().signature, two_hills, max_steps=PERIODS), 0.1, 1)
+    env = ControlEnv(SLEDGE, LearnedReward(SLEDGE.signature, two_hills, max_steps=PERIODS), 0.1, 1)
     env.task = env.task.with_starts(torch.tensor([[HERE]], dtype=torch.float64))
     rows = Rows(torch.zeros(1, 1), torch.zeros(1, 1), torch.zeros(1, 0), torch.zeros(1, 1))
     return env, rows

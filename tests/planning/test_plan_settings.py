@@ -4,13 +4,13 @@ import math
 
 import pytest
 import torch
-from plants import Linear
+from plants import Linear, Plant
 from scipy.linalg import solve_discrete_are
 
 from dynasindy.control.period import _settles
 from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward
 from dynasindy.planning.plan_settings import PlanSettings, choose_plan_settings, find_task_equilibria
-from dynasindy.systems import Signature, System, Tras, Xi
+from dynasindy.systems import Tras, Xi
 
 
 def spring(stiffness, damping, pull):
@@ -88,22 +88,15 @@ def settling(plant, v, share=0.05):
     return _settles(ControlEnv(plant, task, 0.05, 1), torch.tensor([[0.0, v]] * 3), torch.zeros(3, 1), share)
 
 
-class Room(System):
-    """A heater warms the air x, and the air slowly a wall v: x' = u - 2 x + v, v' = 0.001 (x - 2 v)."""
-
-    def __init__(self):
-        super().__init__(Signature(("x", "v"), ("K", "K"), ("u",), (1.0, 1.0)))
-
-    def forward(self, x, u):
-        air, wall = x.unbind(-1)
-        return torch.stack((u[..., 0] - 2 * air + wall, 0.001 * (air - 2 * wall)), -1)
+ROOM = Plant("x v", lambda x, v, u: [u - 2 * x + v, 0.001 * (x - 2 * v)])
+"""A heater warms the air x, and the air slowly a wall v."""
 
 
 @pytest.mark.parametrize("share", [0.2, 0.05])
 def test_a_slow_wall_does_not_count_where_the_air_is_held(share):
     """As if the wall stood still: x' = u - 2 x at the least cost of 100 x^2 + u^2 has its pole at -sqrt(4 + 100)."""
-    assert settling(Room(), 0.0, share) == pytest.approx(-math.log(share) / math.sqrt(104), abs=0.06)
-    assert settling(Room(), 0.0, 1e-4) > 100  # the wall takes 500 s, and the air shows a little of it
+    assert settling(ROOM, 0.0, share) == pytest.approx(-math.log(share) / math.sqrt(104), abs=0.06)
+    assert settling(ROOM, 0.0, 1e-4) > 100  # the wall takes 500 s, and the air shows a little of it
 
 
 def test_the_fate_of_a_deviation_of_a_difference_equation_is_told_by_what_a_step_multiplies_it_by(mapped):

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from plants import Upright
-from scipy.integrate import solve_ivp
+from plants import Plant, Upright, scipy_motion
 from scipy.linalg import solve_discrete_are
 
 from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward
@@ -26,7 +25,6 @@ from dynasindy.planning.trajectory_library import (
     cross_entropy,
     signal,
 )
-from dynasindy.systems import Signature, System
 
 
 def setting(pull=6.0, start=math.pi):
@@ -67,8 +65,7 @@ def test_a_pole_swings_up_and_stays_up(swing):
     for k in range(160):
         u = float(law(observed(env, torch.tensor(x[None], dtype=torch.float32)))[0, 0])
         assert abs(u) <= 1.0
-        found = solve_ivp(lambda _, y, u=u: [y[1], 15 * math.sin(y[0]) + 6 * u], (0, 0.05), x, rtol=1e-9, atol=1e-9)
-        x = found.y[:, -1]
+        x = scipy_motion(lambda _, y, u: [y[1], 15 * math.sin(y[0]) + 6 * u], x, [u], 0.05)[-1]
         if k >= 140:
             assert abs(x[0]) < 0.01 and abs(x[1]) < 0.05
 
@@ -145,18 +142,9 @@ def test_a_plant_that_nothing_lifts_has_no_ways(monkeypatch):
     assert TrajectoryLibrary.of(env, rests, torch.Generator().manual_seed(0))[0] is None
 
 
-class Mass(System):
-    """A mass on a line, pushed by at most 1 m/s^2."""
-
-    def __init__(self):
-        super().__init__(Signature(("p", "v"), ("m", "m/s"), ("push",), (1.0, 1.0)))
-
-    def forward(self, x, u):
-        return torch.stack((x[..., 1], u[..., 0]), -1)
-
-
 def mass(target=0.0, **kwargs):
-    plant = Mass()
+    """A mass on a line, pushed by at most 1 m/s^2."""
+    plant = Plant("p v", lambda p, v, push: [v, push], inputs="push")
     reward = TrackingReward((4.0,), rate_weight=0.0, bonus=0.0, error_shape="linear", width=0.02)
     task = Tracking(plant.signature, RandomStep([target], [target]), ("p",), ("v",), reward, max_steps=40, **kwargs)
     return ControlEnv(plant, task, 0.1, 1)
