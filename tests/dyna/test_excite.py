@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from plants import Upright
+from plants import Plant, Upright
 from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 
@@ -30,7 +30,7 @@ from dynasindy.envs import (
     TrackingReward,
 )
 from dynasindy.findings import note, weak
-from dynasindy.systems import Pendulum, Signature, System, Xi
+from dynasindy.systems import Pendulum, Xi
 from dynasindy.systems.transitions import Transitions
 
 BOUNDS = {"theta": 0.5, "p": 2.0}
@@ -82,13 +82,8 @@ def test_a_plant_that_falls_is_caught_after_its_first_fall():
 
 def test_a_plant_that_begins_many_ranges_from_zero_is_excited_there_without_bounds():
     """A tank of 350 K, of which some kelvin are usual, cools towards 340 K."""
-    signature = Signature(("T",), ("K",), ("heat",), (5.0,))
-
-    class Tank(System):
-        def forward(self, x, u):
-            return 0.1 * (340.0 - x) + u
-
-    experiment = parts(Tank(signature), start={"T": 350.0})
+    tank = Plant("T", lambda x, u: [0.1 * (340.0 - x) + u], (5.0,))
+    experiment = parts(tank, start={"T": 350.0})
     rows = excite(experiment)
     assert finding("excitation.restarts", experiment, rows) is None and rows["step_count"].flatten().tolist() == [
         *range(200)
@@ -98,23 +93,15 @@ def test_a_plant_that_begins_many_ranges_from_zero_is_excited_there_without_boun
     assert [end.tolist() for end in _excitation_limits(experiment)] == [[300.0], [402.0]]
 
 
-class Carried(System):
-    """A pole on a cart whose acceleration is given, 8 u, with a spring that pulls the cart home."""
-
-    def __init__(self, spring=0.0):
-        super().__init__(Signature(("p", "theta", "v", "omega"), ("m", "rad", "m/s", "rad/s"), ("u",), (1, 0.2, 1, 1)))
-        self.spring = spring
-
-    def forward(self, x, u):
-        p, theta, v, omega = x.unbind(-1)
-        push = 8.0 * u[..., 0] - self.spring * p
-        return torch.stack((v, omega, push, 16.0 * torch.sin(theta) - 1.5 * torch.cos(theta) * push), -1)
-
-
 @pytest.mark.parametrize("spring", [0.0, 4.0])
 def test_behind_sensors_a_pole_that_falls_is_held_after_a_few_tries(spring):
     """The pole falls e-fold in a quarter of a second, five periods, and its rates are not measured."""
-    plant = Carried(spring)
+
+    def rates(p, theta, v, omega, u):
+        push = 8.0 * u - spring * p  # of a cart whose acceleration is given, with a spring that pulls it home
+        return [v, omega, push, 16.0 * torch.sin(theta) - 1.5 * torch.cos(theta) * push]
+
+    plant = Plant("p theta v omega", rates, (1, 0.2, 1, 1))
     box = [-1.0, 0.0], [1.0, 0.0]
     task = Tracking(plant.signature, RandomStep(*box), ["p", "theta"], [], TrackingReward((1.0,)), bounds=BOUNDS)
     env = ControlEnv(plant, task, dtype=torch.float64)
@@ -175,16 +162,7 @@ def kept_share(rate, steps):
 
 @pytest.mark.parametrize(("rate", "steps"), [(5.0, None), (100.0, None), (220.0, 10), (800.0, 20)])
 def test_runge_kutta_steps_too_long_for_the_plant_are_told_with_as_many_as_it_needs(rate, steps):
-    class Lag(System):
-        """x' = rate (u - x)."""
-
-        def __init__(self):
-            super().__init__(Signature(("x",), ("m",), ("u",), (1.0,)))
-
-        def forward(self, x, u):
-            return rate * (u - x)
-
-    experiment = parts(Lag(), duration=2.0)
+    experiment = parts(Plant("x", lambda x, u: [rate * (u - x)]), duration=2.0)
     rows = excite(experiment)
     told, most = finding("plant.coarse_steps", experiment, rows), float((rows["state"] - rows["action"]).abs().max())
     fewer = [n for n in (5, 10, 20) if n < (steps or 5)]

@@ -4,30 +4,23 @@ from functools import partial
 
 import pytest
 import torch
-from plants import Upright
+from plants import Plant, Upright
 
 import dynasindy
 from dynasindy.dyna import simulated
 from dynasindy.envs import Aprbs, Chirp, Sensors
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.systems import Signature, System
 
 Simulated = partial(simulated.Simulated, substeps=2)
 CHIRP = partial(Chirp, duration=None, band=None, amplitude=0.4)
 
 
-class Lag(System):
-    """x' = (u - x) / 100 s, as slow as a tank."""
-
-    def __init__(self):
-        super().__init__(Signature(("x", "y"), ("m", "m"), ("u",), (1.0, 1.0)))
-
-    def forward(self, x, u):
-        return (torch.cat([u, x[..., :1]], -1) - x) / 100.0
+LAG = Plant("x y", lambda x, y, u: [(u - x) / 100.0, (x - y) / 100.0])
+"""As slow as a tank."""
 
 
 def test_a_recording_follows_the_control_period_of_its_plant():
-    source = Simulated(period=2.0, validation_seconds=80.0).load(Lag(), CHIRP)
+    source = Simulated(period=2.0, validation_seconds=80.0).load(LAG, CHIRP)
     data, unseen = source.training, source.validation
     assert (data.dt, len(data), unseen.dt, len(unseen)) == (pytest.approx(0.4), 1000, pytest.approx(0.4), 200)
     # Of a lag under a held input exp(-dt / 100) of the distance is left.
@@ -38,19 +31,19 @@ def test_a_recording_follows_the_control_period_of_its_plant():
 
 
 def test_noise_may_be_what_a_sensor_has_in_the_unit_of_its_state():
-    clean, noisy = (Simulated(noise=n, validation_seconds=1.0).load(Lag(), CHIRP).training for n in (0.0, {"x": 0.03}))
+    clean, noisy = (Simulated(noise=n, validation_seconds=1.0).load(LAG, CHIRP).training for n in (0.0, {"x": 0.03}))
     error = noisy.x_next - clean.x_next
     assert error[:, 0].std().item() == pytest.approx(0.03, rel=0.1) and not error[:, 1].any()
     assert torch.equal(noisy.x[1:], noisy.x_next[:-1])
     with pytest.raises(ValueError, match="names"):
-        Simulated(noise={"z": 0.1}).load(Lag(), CHIRP)
+        Simulated(noise={"z": 0.1}).load(LAG, CHIRP)
 
 
 def test_sensors_of_the_bench_measure_what_they_do_as_finely_as_they_do():
     sensors = Sensors({"x": {"resolution": 0.01, "noise": 0.002}})
     settings = {"period": 2.0, "validation_seconds": 4.0}
-    source = Simulated(**settings, sensors=sensors).load(Lag(), CHIRP)
-    exact = Simulated(**settings).load(Lag(), CHIRP)
+    source = Simulated(**settings, sensors=sensors).load(LAG, CHIRP)
+    exact = Simulated(**settings).load(LAG, CHIRP)
     seen = source.training.x_next
     assert seen[:, 1].isnan().all() and source.training.x[:, 1].isnan().all()
     steps = seen[:, 0] / 0.01
@@ -90,31 +83,20 @@ def test_bounds_that_exclude_the_start_are_refused_and_a_far_start_is_no_running
         Simulated(bounds={"theta": [0.5, 1.0]}).load(Upright(5.0, 8.0, 0.2), CHIRP)
     with pytest.raises(ValueError, match="Omega"):
         Simulated(bounds={"Omega": 1.0}, start={"Omega": [0.0, 2.0]}).load(Upright(5.0, 8.0, 0.2), CHIRP)
-
-    class Warm(System):
-        def forward(self, x, u):
-            return u - 0.1 * (x - 9000.0)
-
-    plant = Warm(Signature(("T",), ("K",), ("u",), (2.0,)))
+    plant = Plant("T", lambda x, u: [u - 0.1 * (x - 9000.0)], (2.0,))
     source = Simulated(start={"T": 9000.0}, period=0.5, validation_seconds=5.0).load(plant, CHIRP)
     assert source.findings == () and float(source.training.x.min()) > 8990.0
 
 
-class Oscillator(System):
-    """A mass on a spring, of 2 rad/s, pushed by u."""
-
-    def __init__(self):
-        super().__init__(Signature(("x", "v"), ("m", "m/s"), ("u",), (10.0, 10.0)))
-
-    def forward(self, x, u):
-        return torch.stack((x[..., 1], u[..., 0] - 4.0 * x[..., 0]), -1)
+OSCILLATOR = Plant("x v", lambda x, v, u: [v, u - 4.0 * x], (10.0, 10.0))
+"""A mass on a spring, of 2 rad/s, pushed by u."""
 
 
 @pytest.mark.parametrize("substeps", [1, 5])
 def test_a_plant_that_is_excited_as_in_training_has_the_samples_and_the_steps_that_were_asked_for(substeps):
     """Under a held input the mass circles about u / 4 by 2 dt = 1; s Runge-Kutta steps miss s^-4 / 5! of it."""
     careful = partial(CHIRP, duration=20.0, first=0.5)
-    source = Simulated(dt=0.5, period=1.0, substeps=substeps, validation_seconds=5.0).load(Oscillator(), careful)
+    source = Simulated(dt=0.5, period=1.0, substeps=substeps, validation_seconds=5.0).load(OSCILLATOR, careful)
     turn = torch.tensor([[0.0, -1.0], [1.0, 0.0]], dtype=torch.float64).matrix_exp()
     for data, count in ((source.training, 40), (source.validation, 10)):
         assert (data.dt, len(data), data.substeps) == (0.5, count, 2)
@@ -125,7 +107,7 @@ def test_a_plant_that_is_excited_as_in_training_has_the_samples_and_the_steps_th
 
 
 def test_a_plant_is_excited_in_its_own_time_and_in_steps_that_it_needs():
-    data = dynasindy.excite(Oscillator(), dt=5.0, start={"x": 2.0}).training
+    data = dynasindy.excite(OSCILLATOR, dt=5.0, start={"x": 2.0}).training
     assert len(data) == 1000 and data.x[0].tolist() == [2.0, 0.0]
     (x, v), rest, turn = data.x.mT, data.u[:, 0] / 4, torch.tensor(10.0)
     expected = rest + (x - rest) * turn.cos() + v / 2 * turn.sin()  # ten steps would miss it by a twelfth

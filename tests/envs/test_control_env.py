@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 from alternating import Mapped
-from plants import Linear, held_motion, pendulum_rates, scipy_motion
+from plants import Linear, Plant, held_motion, pendulum_rates, scipy_motion
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from dynasindy.control.sensing import Sensing
 from dynasindy.dyna.simulated import record_plant
 from dynasindy.envs import ControlEnv, RandomStep, Step, Tracking, TrackingReward, Wave
-from dynasindy.systems import Pendulum, Signature, Stops, System, Tras, Xi
+from dynasindy.systems import Pendulum, Stops, Tras, Xi
 from dynasindy.systems.transitions import Transitions
 
 
@@ -43,19 +43,10 @@ def test_partial_reset_leaves_the_other_rows():
     assert not torch.equal(reset["task_params"][1], ongoing["task_params"][1])
 
 
-class Ramps(System):
-    """da/dt = u, db/dt = 1: states are straight lines."""
-
-    def __init__(self):
-        super().__init__(Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 100.0)))
-
-    def forward(self, x, u):
-        return torch.cat([u, torch.ones_like(u)], -1)
-
-
 @pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
 def test_a_state_that_leaves_its_range_stays_at_the_end_and_the_others_where_that_period_began(batch):
-    plant = Ramps()
+    """da/dt = u, db/dt = 1: states are straight lines."""
+    plant = Plant("a b", lambda a, b, u: [u, torch.ones_like(u)], (1.0, 100.0))
     task = Tracking(plant.signature, RandomStep([-0.5], [0.5]), ("a",), (), TrackingReward((1.0,)), max_steps=8)
     env = ControlEnv(plant, task, dt=0.5, substeps=5, dtype=torch.float64)
     env.left_beyond = 2.0

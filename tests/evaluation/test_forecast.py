@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from plants import Plant
 
 from dynasindy.dyna.recorder import judge_run
 from dynasindy.envs import ControlEnv, Step, Tracking, TrackingReward
@@ -11,7 +12,7 @@ from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.tracking_criteria import TrackingCriteria
 from dynasindy.findings import weak, wrong
-from dynasindy.systems import Pendulum, System
+from dynasindy.systems import Pendulum
 
 
 def seen(share, away=None, worst=None, idle=None):
@@ -70,14 +71,6 @@ def constant(u):
     return lambda tensordict: tensordict.set("action", torch.full((*tensordict.batch_size, 1), u))
 
 
-class Exploding(System):
-    def __init__(self):
-        super().__init__(Pendulum().signature)
-
-    def forward(self, x, u):
-        return 1e3 * x * x.square() + 1.0
-
-
 def test_each_model_is_flown_in_the_place_of_the_plant():
     """A constant input holds each pendulum where the torque of its own gravity is as large: 9.81 sin(theta) = 12 u."""
     plant = Pendulum()
@@ -86,7 +79,8 @@ def test_each_model_is_flown_in_the_place_of_the_plant():
     env = ControlEnv(plant, task, 0.1, 2, dtype=torch.float64)
 
     heavier = Pendulum(max_torque=10.0)
-    found = Forecast.of([Exploding(), plant, heavier], env, constant(0.2), Scenario("step", episodes=1, seconds=30.0))
+    exploding = Plant("theta Omega", lambda theta, Omega, u: [1e3 * theta**3 + 1.0, 1e3 * Omega**3 + 1.0])
+    found = Forecast.of([exploding, plant, heavier], env, constant(0.2), Scenario("step", episodes=1, seconds=30.0))
     assert found.flights[0] is None
     assert found.flights[1].share["theta"] < 1e-3
     off = target - float(torch.asin(torch.tensor(10 * 0.2 / 9.81)))
@@ -94,14 +88,8 @@ def test_each_model_is_flown_in_the_place_of_the_plant():
     assert found.evaluation is not None
 
 
-class Car(System):
-    """Its place is driven by its speed, and nothing depends on it: v' = u - v."""
-
-    def __init__(self):
-        super().__init__(Pendulum().signature)
-
-    def forward(self, x, u):
-        return torch.stack([x[..., 1], u[..., 0] - x[..., 1]], -1)
+CAR = Plant("theta Omega", lambda theta, Omega, u: [Omega, u - Omega])
+"""Its place is driven by its speed, and nothing depends on it."""
 
 
 def driven(car, dt=0.1):
@@ -110,43 +98,33 @@ def driven(car, dt=0.1):
 
 
 def test_a_state_that_nothing_depends_on_may_run_on():
-    car = Car()
-    env = driven(car, 0.05)
+    env = driven(CAR, 0.05)
 
-    found = Forecast.of([car], env, constant(0.5), Scenario("step", episodes=1, seconds=30.0))
+    found = Forecast.of([CAR], env, constant(0.5), Scenario("step", episodes=1, seconds=30.0))
     assert found.promised
     assert list(found.flights[0].idle) == ["theta"]
 
 
 def test_a_plant_is_as_far_off_as_pushes_hold_it():
     """A speed v' = u - v that is pushed by p at the end of each period h rests at u + p / (1 - exp(-h)) then."""
-    car, push = Car(), torch.tensor([[0.0, 0.002]], dtype=torch.float64)
-    env = driven(car)
-
+    push, env = torch.tensor([[0.0, 0.002]], dtype=torch.float64), driven(CAR)
     still = Scenario("step", episodes=3, seconds=30.0)
-    found = Forecast.of([car, car], env, constant(0.5), still, pushes=push.expand(40, -1))
+    found = Forecast.of([CAR, CAR], env, constant(0.5), still, pushes=push.expand(40, -1))
     off = 0.002 / (1 - np.exp(-0.1))
     for flight in found.flights:  # of pushes that are always alike no log has too few
         assert flight.share["Omega"] == pytest.approx(off, rel=1e-3) == flight.worst["Omega"]
     assert list(found.flights[0].idle) == ["theta"]
     once = torch.zeros(60, 2, dtype=torch.float64)
     once[7] = push
-    rare = Forecast.of([car, car], env, constant(0.5), still, pushes=once)
+    rare = Forecast.of([CAR, CAR], env, constant(0.5), still, pushes=once)
     first, second = (flight.share["Omega"] for flight in rare.flights)
     assert first < 0.1 * off and 1.3 * first < second < 2 * first
 
 
-class Falling(Car):
-    """A speed v' = u - v that is no number beyond 1."""
-
-    def forward(self, x, u):
-        return super().forward(x, u) + 0 * torch.sqrt(1 - x[..., 1:])
-
-
 def test_a_model_that_only_pushes_make_diverge_promises_nothing():
-    car = Falling()
+    """The speed is no number beyond 1."""
+    car = Plant("theta Omega", lambda theta, Omega, u: [Omega, u - Omega + 0 * torch.sqrt(1 - Omega)])
     env = driven(car)
-
     still, push = Scenario("step", episodes=1, seconds=10.0), torch.tensor([[0.0, 2.0]], dtype=torch.float64)
     assert Forecast.of([car], env, constant(0.5), still).controlled
     assert not Forecast.of([car], env, constant(0.5), still, pushes=push).controlled

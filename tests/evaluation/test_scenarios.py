@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from plants import Plant
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
@@ -17,7 +18,7 @@ from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, to_text, track
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
 from dynasindy.evaluation.tracking_criteria import judge_tracking
 from dynasindy.findings import weak
-from dynasindy.systems import Diverged, Pendulum, Signature, System, Tras, Xi
+from dynasindy.systems import Diverged, Pendulum, Signature, Tras, Xi
 
 
 def make(plant: type[Tras] | type[Xi] = Xi) -> ControlEnv:
@@ -119,18 +120,9 @@ def test_wrappers_are_applied_in_order() -> None:
 
 
 def test_a_plant_that_runs_away_is_left_where_its_numbers_would_overflow() -> None:
-    class Growing(System):
-        """x' = 5 x + 5 u: from 0 under u = 1, x = e^(5 t) - 1; under u = 0 it stays at 0."""
-
-        def __init__(self) -> None:
-            super().__init__(Signature(("x",), ("m",), ("u",), (2.0,)))
-
-        def forward(self, x, u):
-            return 5 * x + 5 * u
-
-    reward = TrackingReward(error_weights=(1.0,))
-    task = Tracking(Growing().signature, Step([[1.0], [2.0]]), ["x"], [], reward)
-    env = ControlEnv(Growing(), task, 0.05, 50, dtype=torch.float64)
+    """From 0 under u = 1 there is x = e^(5 t) - 1; under u = 0 it stays at 0."""
+    plant, reward = Plant("x", lambda x, u: [5 * x + 5 * u], (2.0,)), TrackingReward(error_weights=(1.0,))
+    env = ControlEnv(plant, Tracking(plant.signature, Step([[1.0]]), ["x"], [], reward), 0.05, 50, dtype=torch.float64)
 
     def policy(td: TensorDictBase) -> TensorDictBase:
         return td.set("action", torch.tensor([[1.0], [0.0]]).expand(*td.batch_size, 1))
@@ -146,17 +138,10 @@ def test_a_plant_that_runs_away_is_left_where_its_numbers_would_overflow() -> No
 
 
 def test_a_simulation_that_breaks_down_by_its_steps_alone_says_so() -> None:
-    class Stiff(System):
-        """h' = 10 u - 100 sqrt(h), a tank that fills in 20 ms: a step of 10 ms from empty ends below its bottom."""
-
-        def __init__(self) -> None:
-            super().__init__(Signature(("h",), ("m",), ("u",), (0.01,)))
-
-        def forward(self, x, u):
-            return 10.0 * u - 100.0 * torch.sqrt(x)
-
-    task = Tracking(Stiff().signature, Step([[1.0]]), ["h"], [], TrackingReward(error_weights=(1.0,)))
-    env, push = ControlEnv(Stiff(), task, 0.05, 5), lambda td: td.set("action", torch.ones(*td.batch_size, 1))
+    """A tank fills in 20 ms: a step of 10 ms from empty ends below its bottom."""
+    plant = Plant("h", lambda h, u: [10.0 * u - 100.0 * torch.sqrt(h)], (0.01,))
+    task = Tracking(plant.signature, Step([[1.0]]), ["h"], [], TrackingReward(error_weights=(1.0,)))
+    env, push = ControlEnv(plant, task, 0.05, 5), lambda td: td.set("action", torch.ones(*td.batch_size, 1))
     with pytest.raises(Diverged, match=r"'stiff': .*period 1 .*env\.substeps"):
         evaluate(env, push, Scenario("stiff", Step([[1.0]]), episodes=1, seconds=1.0))
 

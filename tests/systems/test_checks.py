@@ -3,6 +3,7 @@ import warnings
 
 import pytest
 import torch
+from plants import Plant
 
 from dynasindy.systems import Signature, System
 from dynasindy.systems.checks import require_plant
@@ -10,15 +11,9 @@ from dynasindy.systems.checks import require_plant
 FREE = torch.tensor([[-math.inf], [math.inf]])
 
 
-class Level(System):
-    """A tank whose outflow is a function of its level h, and which is filled by its input."""
-
-    def __init__(self, outflow):
-        super().__init__(Signature(("h",), ("m",), ("pump",), (1.0,)))
-        self.outflow = outflow
-
-    def forward(self, x, u):
-        return u - self.outflow(x)
+def level(outflow):
+    """Return a tank whose outflow is a function of its level h, and which is filled by its input."""
+    return Plant("h", lambda h, pump: [pump - outflow(h)], inputs="pump")
 
 
 class Swing(System):
@@ -54,38 +49,38 @@ def test_states_that_are_taken_from_the_batch_are_refused_whatever_their_number(
 
 
 def test_a_row_that_takes_the_rates_of_another_is_refused():
-    """With one state, `x[0]` has the shape that is wanted, and the values of the first row."""
+    """With one state, `h[0]` fits into the shape that is wanted, with the value of the first row."""
     with pytest.raises(ValueError, match="places"):
-        require_plant(Level(lambda h: 0.2 * h[0]), at(0.5))
+        require_plant(level(lambda h: 0.2 * h[0]), at(0.5))
     with pytest.raises(ValueError, match="draw"):
-        require_plant(Level(lambda h: 0.2 * h + 0.01 * torch.randn_like(h)), at(0.5))
-    require_plant(Level(lambda h: 0.2 * h), at(0.5))
+        require_plant(level(lambda h: 0.2 * h + 0.01 * torch.randn_like(h)), at(0.5))
+    require_plant(level(lambda h: 0.2 * h), at(0.5))
 
 
 def test_where_rates_are_not_finite_is_said_when_the_plant_is_built():
     """The root of a negative level is no number, and the logarithm of zero is none either."""
     with pytest.warns(UserWarning, match="pump") as told:
-        require_plant(Level(torch.sqrt), at(0.5))
+        require_plant(level(torch.sqrt), at(0.5))
     (line,) = (str(each.message) for each in told)
     assert "plant.bounds" in line and "\n" not in line
     # One over h has a pole at zero only, in the middle of the range.
     with pytest.warns(UserWarning, match="places"):
-        require_plant(Level(torch.reciprocal), at(0.5))
+        require_plant(level(torch.reciprocal), at(0.5))
 
 
 def test_nothing_is_asked_of_a_plant_beyond_its_bounds():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        require_plant(Level(torch.sqrt), at(0.5), torch.tensor([[0.0], [2.0]]))
-        require_plant(Level(torch.log), at(0.5), torch.tensor([[0.0], [2.0]]))  # its very end is no place
-        require_plant(Level(lambda h: h.clamp(min=0).sqrt()), at(0.5), FREE)
-        require_plant(Level(torch.sqrt), at(350.0), FREE)  # a temperature, which a range of 1 K never takes to zero
+        require_plant(level(torch.sqrt), at(0.5), torch.tensor([[0.0], [2.0]]))
+        require_plant(level(torch.log), at(0.5), torch.tensor([[0.0], [2.0]]))  # its very end is no place
+        require_plant(level(lambda h: h.clamp(min=0).sqrt()), at(0.5), FREE)
+        require_plant(level(torch.sqrt), at(350.0), FREE)  # a temperature, which a range of 1 K never takes to zero
     with pytest.warns(UserWarning, match=r"-0\.98"):
-        require_plant(Level(torch.sqrt), at(0.5), FREE)
+        require_plant(level(torch.sqrt), at(0.5), FREE)
 
 
 def test_a_plant_that_is_finite_nowhere_in_its_ranges_or_not_where_it_begins_is_refused():
     with pytest.raises(ValueError, match="constants"):
-        require_plant(Level(lambda h: (h - 3).sqrt()), at(4.0), torch.tensor([[0.0], [2.0]]))
+        require_plant(level(lambda h: (h - 3).sqrt()), at(4.0), torch.tensor([[0.0], [2.0]]))
     with pytest.raises(ValueError, match="begin"):
-        require_plant(Level(torch.sqrt), at(-0.5))
+        require_plant(level(torch.sqrt), at(-0.5))

@@ -5,22 +5,14 @@ import math
 import numpy as np
 import pytest
 import torch
-from plants import Linear
+from plants import Linear, Plant
 from scipy.linalg import expm
 
-from dynasindy.systems import Pendulum, Signature, System, Tras, Xi
+from dynasindy.systems import Pendulum, System, Tras, Xi
 from dynasindy.systems.equilibria import Equilibria, LocalModes, find_equilibria, growth, modes
 
-
-class Cart(System):
-    """A driven cart whose mileage counts on: s' = v, v' = 3 u - 0.5 v, m' = v."""
-
-    def __init__(self):
-        super().__init__(Signature(("s", "v", "m"), ("m", "m/s", "m"), ("u", "w"), (1.0, 2.0, 5.0)))
-
-    def forward(self, x, u):
-        v = x[..., 1]
-        return torch.stack((v, 3.0 * (u[..., 0] + 0.5 * u[..., 1]) - 0.5 * v * v, v), -1)
+CART = Plant("s v m", lambda s, v, m, u, w: [v, 3.0 * (u + 0.5 * w) - 0.5 * v * v, v], (1.0, 2.0, 5.0), "u w")
+"""A driven cart whose mileage counts on."""
 
 
 def test_a_pendulum_rests_where_its_torque_balances_gravity():
@@ -43,46 +35,32 @@ def test_a_target_beyond_the_inputs_has_no_rest():
     assert rests.needed.tolist() == [[pytest.approx(9.81 * math.sin(1.2) / 5.0)]]
 
 
-class Pond(System):
-    """A level that a pump holds, y' = u - y + z / 1000, of water that warms by z' = 0.02 y^2 whatever is done."""
-
-    def __init__(self):
-        super().__init__(Signature(("y", "z"), ("m", "degC"), ("u",), (1.0, 100.0)))
-
-    def forward(self, x, u):
-        y, z = x.unbind(-1)
-        return torch.stack((u[..., 0] - y + z / 1000, 0.02 * y.square()), -1)
+POND = Plant("y z", lambda y, z, u: [u - y + z / 1000, 0.02 * y.square()], (1.0, 100.0))
+"""A level that a pump holds, of water that warms whatever is done."""
 
 
 def test_what_moves_by_less_than_a_thousandth_of_its_range_per_second_rests():
     limits = torch.tensor([[-10.0], [10.0]])
-    rests = find_equilibria(Pond(), [0], torch.tensor([[1.0], [2.2], [2.3], [4.0]]), torch.zeros(2), 0.05, limits)
+    rests = find_equilibria(POND, [0], torch.tensor([[1.0], [2.2], [2.3], [4.0]]), torch.zeros(2), 0.05, limits)
     assert rests.targets.flatten().tolist() == pytest.approx([1.0, 2.2])  # 2e-4 y^2 ranges per second
     torch.testing.assert_close(rests.u[:, 0], rests.x[:, 0] - rests.x[:, 1] / 1000, atol=1e-3, rtol=0)
 
 
-class Propeller(System):
-    """An arm that a propeller lifts, whichever way it turns: a' = w, w' = 8 u^2 - 9 sin(a) - w / 2."""
-
-    def __init__(self):
-        super().__init__(Signature(("a", "w"), ("rad", "rad/s"), ("u",), (1.0, 3.0)))
-
-    def forward(self, x, u):
-        a, w = x.unbind(-1)
-        return torch.stack((w, 8.0 * u[..., 0].square() - 9.0 * torch.sin(a) - 0.5 * w), -1)
+ARM = Plant("a w", lambda a, w, u: [w, 8.0 * u.square() - 9.0 * torch.sin(a) - 0.5 * w], (1.0, 3.0))
+"""An arm that a propeller lifts, whichever way it turns."""
 
 
 @pytest.mark.parametrize(("low", "high", "sign"), [(0.1, 0.9, 1.0), (-0.9, -0.1, -1.0)])
 def test_rests_have_inputs_between_their_ends(low, high, sign):
     targets = torch.tensor([[0.2], [0.5], [0.9]])  # 0.9 takes an input of 0.9387
-    rests = find_equilibria(Propeller(), [0], targets, torch.zeros(2), 0.05, torch.tensor([[low], [high]]))
+    rests = find_equilibria(ARM, [0], targets, torch.zeros(2), 0.05, torch.tensor([[low], [high]]))
     wanted = sign * (9.0 * torch.sin(targets[:2].double()) / 8.0).sqrt()
     torch.testing.assert_close(rests.u, wanted, atol=1e-6, rtol=0)
     assert rests.unheld.tolist() == [[pytest.approx(0.9)]]
 
 
 def test_a_state_that_nothing_depends_on_need_not_rest_and_spare_inputs_are_no_obstacle():
-    rests = find_equilibria(Cart(), [1], torch.tensor([[0.4], [1.2]]), torch.zeros(3), 0.05)
+    rests = find_equilibria(CART, [1], torch.tensor([[0.4], [1.2]]), torch.zeros(3), 0.05)
     assert rests.moved.tolist() == [False, True, False] and len(rests) == 2
     torch.testing.assert_close(3 * (rests.u[:, 0] + 0.5 * rests.u[:, 1]), torch.tensor([0.08, 0.72]).double())
 
@@ -169,15 +147,7 @@ def equilibria_of(system: System, targets: torch.Tensor) -> Equilibria:
 
 def test_a_plant_whose_only_state_is_held_rests_where_its_input_makes_up_for_its_loss():
     """x' = -2 x + 3 u rests at x with u = 2 x / 3."""
-
-    class Box(System):
-        def __init__(self):
-            super().__init__(Signature(("x",), ("-",), ("u",), (1.0,)))
-
-        def forward(self, x, u):
-            return -2 * x + 3 * u
-
-    found = equilibria_of(Box(), torch.tensor([[0.3]]))
+    found = equilibria_of(Linear([[-2.0]], [[3.0]]), torch.tensor([[0.3]]))
     assert float(found.x) == pytest.approx(0.3) and float(found.u) == pytest.approx(0.2)
 
 
