@@ -19,9 +19,9 @@ def written(path, headings, order=(0, 1, 2, 3)):
 
 
 def write(path, headings, *columns):
-    """Write columns of numbers below headings, and return the path."""
+    """Write columns of numbers below headings, nothing for NaN, and return the path."""
     rows = np.stack(columns, -1).tolist()
-    path.write_text("\n".join([headings, *(",".join(map(repr, row)) for row in rows)]))
+    path.write_text("\n".join([headings, *(",".join("" if v != v else repr(v) for v in row) for row in rows)]))
     return path
 
 
@@ -341,8 +341,7 @@ COMMAND = 0.7 * np.sin(7 * T) + 0.2 * np.cos(19 * T)
 
 
 def recording(path, headings, *columns, **settings):
-    rows = (",".join("" if np.isnan(v) else repr(float(v)) for v in row) for row in np.stack(columns, -1))
-    return of_lines(path, headings, *rows, **settings)
+    return LoggedData(str(write(path, headings, *columns)), **settings).recording(None)
 
 
 def of_lines(path, *lines, **settings):
