@@ -5,11 +5,10 @@ import random
 import re
 import sys
 from collections.abc import Iterator
-from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
-from configs import composed
+from configs import composed, make_parts
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
@@ -18,7 +17,6 @@ from command import MENDABLE, in_words
 from settings import check
 
 from dynasindy.data.recording import LogReader
-from dynasindy.dyna.experiment import Recipe
 from dynasindy.sindy.model import SindyModel
 
 VALUES = (
@@ -74,10 +72,7 @@ def judged(use, command: str, *names: str) -> str:
 
 def build(cfg: DictConfig) -> None:
     check(cfg)
-    names = {f.name for f in fields(Recipe)} - {"seed", "device"}
-    parts = {name: instantiate(cfg[name], _convert_="all") for name in names}
-    instantiate(cfg.scenario, _convert_="all")
-    Recipe(**parts, seed=cfg.seed).build()
+    make_parts(cfg)
 
 
 OPTIONS = (

@@ -3,19 +3,17 @@
 import copy
 import math
 import re
-from dataclasses import fields
 from functools import cache
 
 import pytest
 import torch
-from configs import CONF, composed
+from configs import CONF, composed, make_parts
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from settings import require_trusted
 
 from dynasindy.dyna.excite import excite
-from dynasindy.dyna.experiment import Recipe
 from dynasindy.planning import Gate
 
 GROUPS = ("system", "task", "excitation", "world_model", "planning", "agent", "sensors", "scenario", "experiment")
@@ -27,10 +25,7 @@ PLANTS = sorted({file.stem for file in (CONF / "system").glob("[a-z]*.yaml")} - 
 @cache
 def build(*overrides):
     cfg = composed("train", *overrides)
-    names = {f.name for f in fields(Recipe)} - {"seed", "device"}
-    parts = {name: instantiate(cfg[name], _convert_="all") for name in names}
-    instantiate(cfg.scenario, _convert_="all")
-    return cfg, Recipe(**parts, seed=cfg.seed).build()
+    return cfg, make_parts(cfg)
 
 
 @pytest.mark.parametrize("option", sorted(set(OPTIONS) - {"system=logged", "system=black_box"}))  # without equations

@@ -1,9 +1,13 @@
 """Configurations that a command composes of its words."""
 
+from dataclasses import fields
 from pathlib import Path
 
 from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
 from omegaconf import OmegaConf
+
+from dynasindy.dyna.experiment import Recipe
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 
@@ -15,3 +19,11 @@ def composed(command, *words):
     if "folder" in cfg and OmegaConf.is_interpolation(cfg, "folder"):
         cfg.folder = "run"
     return cfg
+
+
+def make_parts(cfg):
+    """Return the parts of a run of a configuration, whose scenario can be built, too."""
+    names = {f.name for f in fields(Recipe)} - {"seed", "device"}
+    parts = {name: instantiate(cfg[name], _convert_="all") for name in names}
+    instantiate(cfg.scenario, _convert_="all")
+    return Recipe(**parts, seed=cfg.seed).build()
