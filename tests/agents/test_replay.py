@@ -4,13 +4,14 @@ import math
 
 import pytest
 import torch
+from plants import Plant
 from tensordict import TensorDict
 from torchrl.envs.transforms import Transform
 
 from dynasindy.agents import LEARN_KEYS, REAL_KEYS, DynaReplay
 from dynasindy.agents.replay import require_finite_rollout
 from dynasindy.envs import ControlEnv, Step, Tracking, TrackingReward
-from dynasindy.systems import Diverged, Signature, System
+from dynasindy.systems import Diverged
 
 
 def rows(n, value=0.0, keys=LEARN_KEYS):
@@ -174,23 +175,13 @@ def test_keeping_imagined_rows_does_not_imagine_anew():
     assert len(replay.model) == 4
 
 
-SIGNATURE = Signature(("angle", "rate"), ("rad", "rad/s"), ("torque",), (1.0, 1.0))
-
-
-class Mass(System):
+def mass(edge=math.inf, beyond=math.nan):
     """A mass whose rate grows by one per second until the angle passes an edge, and that is then nowhere."""
-
-    def __init__(self, edge=math.inf, beyond=math.nan):
-        super().__init__(SIGNATURE)
-        self.edge, self.beyond = edge, beyond
-
-    def forward(self, x, u):
-        angle, rate = x.unbind(-1)
-        return torch.stack([rate, torch.where(angle > self.edge, self.beyond, 1.0 + 0 * u[..., 0])], -1)
+    return Plant("angle rate", lambda angle, rate, u: [rate, torch.where(angle > edge, beyond, 1.0 + 0 * u)])
 
 
 def env_of(plant):
-    task = Tracking(SIGNATURE, Step([[0.5]]), outputs=["angle"], rates=["rate"], reward=TrackingReward((4.0,)))
+    task = Tracking(plant.signature, Step([[0.5]]), outputs=["angle"], rates=["rate"], reward=TrackingReward((4.0,)))
     task.initial_state = lambda batch, rng: torch.zeros(*batch, 2)
     return ControlEnv(plant, task, dt=0.1, substeps=2, dtype=torch.float64)
 
@@ -207,8 +198,8 @@ def flown(plant, spoil=None):
 def test_a_plant_that_leaves_all_bounds_is_told_with_the_state_that_it_left_from(beyond):
     # 0.5 t^2 passes 0.605 in the twelfth control period of 0.1 s, which begins at rate 1.1 rad/s.
     with pytest.raises(Diverged, match="moves"):
-        require_finite_rollout(flown(Mass(0.61, beyond)))
-    require_finite_rollout(flown(Mass()))
+        require_finite_rollout(flown(mass(0.61, beyond)))
+    require_finite_rollout(flown(mass()))
 
 
 @pytest.mark.parametrize(
@@ -223,11 +214,11 @@ def test_a_plant_that_leaves_all_bounds_is_told_with_the_state_that_it_left_from
 )
 def test_each_cause_is_told_by_its_name(key, told):
     with pytest.raises(Diverged, match="period 8 "):
-        require_finite_rollout(flown(Mass(), (key, math.nan)), "evaluation")
+        require_finite_rollout(flown(mass(), (key, math.nan)), "evaluation")
 
 
 def test_an_action_that_is_nowhere_is_not_laid_on_the_plant():
-    rollout = flown(Mass(), ("action", math.nan))
+    rollout = flown(mass(), ("action", math.nan))
     rollout["next", "state"][7:] = math.nan
     with pytest.raises(Diverged, match="policy"):
         require_finite_rollout(rollout)
@@ -235,7 +226,7 @@ def test_an_action_that_is_nowhere_is_not_laid_on_the_plant():
 
 def test_sensors_may_miss_what_is_there_but_tell_nothing_infinite():
     """NaN is what was not measured; infinity is no measurement, and may be all that is wrong in a rollout."""
-    rollout = flown(Mass())
+    rollout = flown(mass())
     rollout["measurement"] = torch.full_like(rollout["state"], math.nan)
     rollout["next", "samples"][3, 1, 0] = math.nan
     require_finite_rollout(rollout)

@@ -84,13 +84,11 @@ def test_a_reward_that_is_not_finite_stops_the_update_before_any_weight_moves(re
 
 
 def test_an_actor_without_finite_weights_is_told_and_its_critics_are_checked_too():
-    agent = small()
-    agent.check()
-    for weights, name in ((agent.loss.actor_layers, "actor_network"), (agent.loss.critic_layers, "qvalue_network")):
+    small().check()
+    for layers, name in (("actor_layers", "actor_network"), ("critic_layers", "qvalue_network")):
         spoilt = small()
-        layers = spoilt.loss.actor_layers if weights is agent.loss.actor_layers else spoilt.loss.critic_layers
         with torch.no_grad():
-            layers[1].weight.view(-1)[0] = math.nan
+            getattr(spoilt.loss, layers)[1].weight.view(-1)[0] = math.nan
         with pytest.raises(Diverged, match=name):
             spoilt.check()
     lost = small(policy_delay=1)

@@ -174,12 +174,7 @@ def test_the_way_of_a_fast_plant_is_no_steady_error():
 
 def test_a_law_that_is_too_weak_for_a_hill_loses_the_plant_beyond_a_line():
     # v' = p + u with u = clamp(-3 p - 3 v) to 0.5: with p + v at most 0.5 it comes back, beyond it runs away.
-    class Limited(Law):
-        def __call__(self, tensordict):
-            tensordict = super().__call__(tensordict)
-            return tensordict.set("action", tensordict["action"].clamp(-0.5, 0.5))
-
-    loop = make_loop(Limited(3.0, 3.0), make_cart(spring=-1.0))
+    loop = make_loop(Law(3.0, 3.0, limit=0.5), make_cart(spring=-1.0))
     (plane,) = check(loop, replace(HERE, grid=9, seconds=12.0)).planes
     assert plane.names == ("p", "v")
     np.testing.assert_allclose(plane.first, np.linspace(-1, 1, 9), atol=1e-12)  # half of the ranges of 2 m and 3 m/s

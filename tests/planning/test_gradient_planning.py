@@ -48,20 +48,18 @@ def test_planning_improves_the_return_in_the_real_environment(setting, small):
     assert after > 0.5 * before  # returns are negative: more than half of the cost is gone
 
 
-def test_a_phase_goes_on_from_a_regulator_where_its_updates_lead_nowhere(mapped):
+@pytest.mark.parametrize(("settings", "held"), [({"updates": 8}, False), ({"warm_start": False}, False), ({}, True)])
+def test_a_phase_goes_on_from_a_regulator_where_its_updates_lead_nowhere(mapped, settings, held):
+    """With so many updates given, and where a regulator is ruled out, it ends there."""
     env = mapped(0.9, 0.2)  # stable, x[k+1] = .9 x + .2 u, so that no regulator is there at first
     actor = Actor(env.task.n_o, 1, hidden=(32, 32))
-    small = {"rollouts": 16, "check_every": 4, "gain_range": 0.0}
-    ends = []
-    for updates in (8, None):
-        planner = GradientPlanning(env, actor, lr=1e-9, updates=updates, **small)
-        planner.plan()
-        ends.append(planner.steady_state_error())
+    planner = GradientPlanning(env, actor, lr=1e-9, rollouts=16, check_every=4, gain_range=0.0, **settings)
+    planner.plan()
+    assert (planner.imagined_error > 0.05) is (not held)
     with torch.no_grad():
         rollout = env.rollout(env.task.max_steps, actor.policy)
     error = (rollout["next", "state"][-1] - env.task.reference(rollout["task_params"][-1:], torch.ones(1, 1))).abs()
-    assert ends[0] > 0.05 > ends[1]
-    assert float(error) < 0.05
+    assert float(error) < 0.05 or not held
 
 
 def test_a_bound_that_weaker_inputs_cannot_keep_is_kept_by_those_of_the_model():
@@ -76,14 +74,6 @@ def test_a_bound_that_weaker_inputs_cannot_keep_is_kept_by_those_of_the_model():
     with torch.no_grad():
         current = env.rollout(40, actor.policy)["next", "state"][..., 1]
     assert 0.1 < float(current.abs().max()) < 0.2  # inputs that are stronger by .3 pass .3 on the way to any target
-
-
-def test_no_phase_goes_on_from_a_regulator_that_is_ruled_out(mapped):
-    env = mapped(0.9, 0.2)
-    actor = Actor(env.task.n_o, 1, hidden=(32, 32))
-    planner = GradientPlanning(env, actor, lr=1e-9, warm_start=False, rollouts=16, check_every=4, gain_range=0.0)
-    planner.plan()
-    assert planner.imagined_error > 0.05
 
 
 def test_the_actor_of_the_agent_itself_learns_and_td3_goes_on_from_it(setting, small):
