@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from controllers import PENDULUM, pendulum_controller
+from controllers import PENDULUM, angle_task, pendulum_controller
 from plants import A, B, Plant, spring
 
 from dynasindy.agents import actor
@@ -40,21 +40,11 @@ def pendulum_model():
 
 
 def setting(reference=None, observe_rate=False):
-    plant = Pendulum()
-    task = Tracking(
-        plant.signature,
-        reference or Step([[0.3]]),
-        ("theta",),
-        ("Omega",),
-        TrackingReward((4.0,)),
-        observe_rate=observe_rate,
-        low=[-0.2],
-        high=[0.6],
-    )
+    task = angle_task(reference or Step([[0.3]]), observe_rate=observe_rate, low=[-0.2], high=[0.6])
     with torch.random.fork_rng():
         torch.manual_seed(3)
         policy = actor(task.n_o, 1, (16, 16)).requires_grad_(False)
-    return ControlEnv(plant, task, dtype=torch.float64), policy
+    return ControlEnv(Pendulum(), task, dtype=torch.float64), policy
 
 
 def watching(env, disturbance=True, **settings):
@@ -241,9 +231,8 @@ def test_a_reference_far_beyond_the_targets_of_the_plan_is_warned_of_once():
 
 
 def proportional_loop():
-    plant = Pendulum()
-    task = Tracking(plant.signature, Step([[0.2]]), ("theta",), ("Omega",), TrackingReward((4.0,)), max_steps=600)
-    env = ControlEnv(plant, task)
+    task = angle_task(Step([[0.2]]), max_steps=600)
+    env = ControlEnv(Pendulum(), task)
 
     def proportional(tensordict):
         error = tensordict["observation"][..., 2:3] * task.error_scale
@@ -267,9 +256,8 @@ def test_an_output_without_a_rate_is_integrated_as_if_it_stood_still():
 
 
 def test_shift_and_integral_are_those_of_the_formulas_on_a_moving_reference():
-    plant = Pendulum()
-    task = Tracking(plant.signature, Wave([0.3], [0.2]), ("theta",), ("Omega",), TrackingReward((4.0,)))
-    env = ControlEnv(plant, task, dtype=torch.float64)
+    task = angle_task(Wave([0.3], [0.2]))
+    env = ControlEnv(Pendulum(), task, dtype=torch.float64)
     seen = []
 
     def policy(tensordict):
@@ -312,20 +300,10 @@ def test_a_row_that_begins_anew_forgets_alone():
 
 def test_band_limit_and_rate_count_in_boxes_of_targets():
     """Half the box and twice the numbers are the same controller."""
-    plant, states = Pendulum(), []
+    states = []
     for box, factor in ((0.5, 2.0), (1.0, 1.0)):
-        task = Tracking(
-            plant.signature,
-            Step([[0.2]]),
-            ("theta",),
-            ("Omega",),
-            TrackingReward((4.0,)),
-            max_steps=100,
-            error_scale=0.5 * factor,
-            low=[0.0],
-            high=[box],
-        )
-        env = ControlEnv(plant, task)
+        task = angle_task(Step([[0.2]]), max_steps=100, error_scale=0.5 * factor, low=[0.0], high=[box])
+        env = ControlEnv(Pendulum(), task)
 
         def proportional(tensordict):
             return tensordict.set("action", (0.5 * tensordict["observation"][..., 2:3]).clamp(-1, 1))

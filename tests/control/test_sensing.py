@@ -73,8 +73,7 @@ def test_perfect_sensors_show_the_plant_as_it_is():
     bare, seen = env.rollout(80, chirp()), sensed.rollout(80, chirp())
     for key in ("state", "observation", ("next", "state"), ("next", "observation"), ("next", "reward")):
         torch.testing.assert_close(seen[key], bare[key], rtol=1e-6, atol=1e-6)
-    for key in ("samples",):
-        torch.testing.assert_close(seen["next", key], bare["next", key], rtol=0, atol=0)
+    torch.testing.assert_close(seen["next", "samples"], bare["next", "samples"], rtol=0, atol=0)
     torch.testing.assert_close(seen["measurement"], bare["state"], rtol=0, atol=0)
 
 
@@ -250,13 +249,11 @@ def test_a_run_resumed_at_any_place_is_the_uninterrupted_one():
 
 
 def test_after_the_first_fit_the_observer_relies_on_the_model_and_the_excitation_is_estimated_anew():
-    made = recipe(sensors=Sensors(BENCH, rates=KNOWN))
-    parts = made.build()
+    parts = recipe(sensors=Sensors(BENCH, rates=KNOWN)).build()
     excited = parts.env.rollout(30, parts.excitation)
     assert not parts.sensing.observer.learnt
     before = (excited["next", "state"] - excited["next", "true_state"])[:, 2:4].square().mean()
-    made = recipe(sensors=Sensors(BENCH, rates=KNOWN))
-    parts = made.build()
+    parts = recipe(sensors=Sensors(BENCH, rates=KNOWN)).build()
     train(parts, LoopSettings(0), Callback())
     stored = parts.replay.real_in_order()
     after = (stored["next", "state"] - excited["next", "true_state"])[:, 2:4].square().mean()

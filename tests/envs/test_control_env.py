@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from alternating import Mapped
+from controllers import angle_task
 from plants import Linear, Plant, held_motion, pendulum_rates, scipy_motion
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
@@ -233,9 +234,8 @@ DT = 0.05
 
 
 def late(delay, substeps=5):
-    plant = Pendulum()
-    task = Tracking(plant.signature, Step([[0.3]]), ("theta",), ("Omega",), TrackingReward((4.0,)), max_steps=40)
-    return ControlEnv(plant, task, DT, substeps, delay=delay, dtype=torch.float64)
+    task = angle_task(Step([[0.3]]), max_steps=40)
+    return ControlEnv(Pendulum(), task, DT, substeps, delay=delay, dtype=torch.float64)
 
 
 def test_specs_hold():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from controllers import angle_task
 from plants import Plant
 
 from dynasindy.dyna.recorder import judge_run
@@ -75,9 +76,7 @@ def test_each_model_is_flown_in_the_place_of_the_plant():
     """A constant input holds each pendulum where the torque of its own gravity is as large: 9.81 sin(theta) = 12 u."""
     plant = Pendulum()
     target = float(torch.asin(torch.tensor(12 * 0.2 / 9.81)))
-    task = Tracking(plant.signature, Step([[target]]), ("theta",), ("Omega",), TrackingReward((4.0,)), max_steps=600)
-    env = ControlEnv(plant, task, 0.1, 2, dtype=torch.float64)
-
+    env = ControlEnv(plant, angle_task(Step([[target]]), max_steps=600), 0.1, 2, dtype=torch.float64)
     heavier = Pendulum(max_torque=10.0)
     exploding = Plant("theta Omega", lambda theta, Omega, u: [1e3 * theta**3 + 1.0, 1e3 * Omega**3 + 1.0])
     found = Forecast.of([exploding, plant, heavier], env, constant(0.2), Scenario("step", episodes=1, seconds=30.0))
@@ -99,7 +98,6 @@ def driven(car, dt=0.1):
 
 def test_a_state_that_nothing_depends_on_may_run_on():
     env = driven(CAR, 0.05)
-
     found = Forecast.of([CAR], env, constant(0.5), Scenario("step", episodes=1, seconds=30.0))
     assert found.promised
     assert list(found.flights[0].idle) == ["theta"]
@@ -153,11 +151,7 @@ def test_a_doubt_breaks_a_promise():
 
 def test_what_has_to_come_to_rest_is_asked_where_a_flight_begins(monkeypatch):
     plant, asked = Pendulum(), []
-    task = Tracking(
-        plant.signature, Step([[0.3]]), ("theta",), ("Omega",), TrackingReward((4.0,)), start={"theta": -0.2}
-    )
+    env = ControlEnv(plant, angle_task(Step([[0.3]]), start={"theta": -0.2}))
     monkeypatch.setattr(module, "states_that_matter", lambda model, columns, start: asked.append(start) or [0, 1])
-    Forecast.of(
-        [plant], ControlEnv(plant, task), lambda td: td.set("action", torch.zeros(1, 1)), Scenario("step", seconds=1.0)
-    )
+    Forecast.of([plant], env, constant(0.0), Scenario("step", seconds=1.0))
     assert len(asked) == 1 and asked[0].tolist() == pytest.approx([-0.2, 0.0], abs=1e-6)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from controllers import angle_task
 from plants import Plant
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import ExplorationType, exploration_type
@@ -283,10 +284,7 @@ def test_only_what_rests_has_a_steady_state_to_read(signal, kept):
 
 
 def test_references_beyond_the_targets_of_the_plant_are_told_and_others_are_not() -> None:
-    system = Pendulum()
-    box = {"low": [-0.3], "high": [0.4]}
-    task = Tracking(system.signature, Step([[0.1]]), ["theta"], ["Omega"], TrackingReward((4.0,)), **box)
-    env = ControlEnv(system, task, substeps=1)
+    env = ControlEnv(Pendulum(), angle_task(Step([[0.1]]), low=[-0.3], high=[0.4]), substeps=1)
 
     def still(td):
         return td.set("action", torch.zeros(*td.batch_size, 1))
@@ -299,10 +297,8 @@ def test_references_beyond_the_targets_of_the_plant_are_told_and_others_are_not(
     derived = wave("square", [-0.3], [0.4], 20, 0.05)
     assert evaluate(env, still, Scenario("square", derived, seconds=2.0)).beyond_targets == []
     assert evaluate(env, still, Scenario("step", Step([[0.4], [-0.3]]), 2, 1.0)).beyond_targets == []
-    upright = Tracking(
-        system.signature, Step([[math.pi]]), ["theta"], ["Omega"], TrackingReward((4.0,)), low=[math.pi], high=[math.pi]
-    )
-    assert evaluate(ControlEnv(system, upright), still, Scenario("step", seconds=1.0)).beyond_targets == []
+    upright = angle_task(Step([[math.pi]]), low=[math.pi], high=[math.pi])
+    assert evaluate(ControlEnv(Pendulum(), upright), still, Scenario("step", seconds=1.0)).beyond_targets == []
 
 
 def test_json_holds_the_summary_and_csv_one_row(tmp_path: Path) -> None:

@@ -9,11 +9,16 @@ from dynasindy.envs import Sensors, Step, Tracking, TrackingReward
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.library import Library, of, variable
 from dynasindy.sindy.named_libraries import rotor
-from dynasindy.systems import Signature, Stops, Tras
+from dynasindy.systems import Pendulum, Signature, Stops, Tras
 
 HOSTILE = Signature(("int", "x y.z'-"), ("*/ int f() /*", "%/°*/"), ("_u",), (1.5, 3.0))
 """Names and units that mean something in C, Python, XML and LaTeX."""
 PENDULUM = Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.5, 3.0))
+
+
+def angle_task(reference, **settings):
+    """Return the task that the angle of a pendulum follows a reference."""
+    return Tracking(Pendulum().signature, reference, ("theta",), ("Omega",), TrackingReward((4.0,)), **settings)
 
 
 def policy_of(task, hidden=(8, 5), seed=1):

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from controllers import angle_task
 from PIL import Image
 
-from dynasindy.envs import ControlEnv, Step, Tracking, TrackingReward
+from dynasindy.envs import ControlEnv, Step, Tracking
 from dynasindy.envs.drawing import draw
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.systems import Pendulum, Tras
@@ -31,9 +32,7 @@ def test_pictures_are_of_the_shown_row_and_sample(evaluation: Evaluation) -> Non
 
 
 def test_other_plants_are_drawn_with_their_dial() -> None:
-    system = Pendulum()
-    task = Tracking(system.signature, Step([[0.3]]), outputs=["theta"], rates=["Omega"], reward=TrackingReward((4.0,)))
-    env = ControlEnv(system, task, substeps=1)
+    env = ControlEnv(Pendulum(), angle_task(Step([[0.3]])), substeps=1)
     swing = Scenario("swing", Step([[0.3]]), seconds=0.2)
     shown = evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 1)), swing)
     (first, _) = _frames(shown)

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from controllers import angle_task
 from matplotlib.colors import to_rgb
 
-from dynasindy.envs import ControlEnv, Reference, Step, Tracking, TrackingReward, Wave
+from dynasindy.envs import ControlEnv, Reference, Step, Tracking, Wave
 from dynasindy.evaluation.disturbances import PerturbedPlant
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.rig import Guard, Wiring
@@ -127,12 +128,8 @@ def test_the_gust_is_shaded_in_every_panel(figures) -> None:
 
 
 def test_the_episode_that_begins_farthest_is_drawn_with_the_labels_of_its_plant(figures) -> None:
-    system = Pendulum()
-    task = Tracking(
-        system.signature, Step([[0.0]]), outputs=["theta"], rates=["Omega"], reward=TrackingReward((4.0,)),
-        start={"theta": [-3.0, 3.0]},
-    )  # fmt: skip
-    result = evaluate(ControlEnv(system, task, substeps=1), rest(1), Scenario("swing", None, 9, 0.5))
+    task = angle_task(Step([[0.0]]), start={"theta": [-3.0, 3.0]})
+    result = evaluate(ControlEnv(Pendulum(), task, substeps=1), rest(1), Scenario("swing", None, 9, 0.5))
     figure = figures(result)["swing"]
     assert abs(figure.axes[0].lines[1].get_ydata()[0]) == result.outputs[:, 0, 0].abs().max()
     assert [axis.get_ylabel() for axis in figure.axes] == [r"$\theta$ [rad]", r"$\Omega$ [rad/s]", "$u$ [-]"]
