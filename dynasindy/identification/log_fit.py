@@ -644,8 +644,11 @@ class _Search:
         for attempt in attempts:
             with _attempt():
                 attempt(until)
-        if hidden := [each for each in self._near() if each in self.tried[known:]]:
-            self._windows_of_leaders(hidden)
+        if any(each in self.tried[known:] for each in self._near()):
+            self._try_larger_libraries(
+                [min(self.tried[known:], key=lambda each: each.score)]
+            )  # longer windows cost more
+            self._windows_of_leaders([each for each in self._near() if each in self.tried[known:]])
             if until == self.until:  # else lag states come before
                 self._try_larger_libraries(self._near())
         if self.best is before or not self._clearly_better(self.best, before):
