@@ -496,8 +496,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "it does not, as a valve from 0 to 1, say so: {inputs:data.inputs}",
     "log.scaled": "{input} is taken into [-1, 1], where planning needs it: 0 is {rest:.6g}{unit:unit}, 1 is "
     "{one:.6g}{unit:unit}; a controller keeps it from {low:.6g} to {high:.6g}{unit:unit}",
-    "log.guessed_ends": "these are the ends of the log; if an actuator goes further, give its own, and low: -1, high: "
-    "1 keeps the numbers as they are: {inputs:data.inputs}",
+    "log.guessed_ends": "these are the ends of the log, of inputs named alike together; if an actuator goes further, "
+    "give its own, and low: -1, high: 1 keeps the numbers as they are: {inputs:data.inputs}",
     "log.resolution": "{state} is read in steps of {step:.3g}{unit:unit}{coarse:?(a sensor that cuts off reads half a "
     "step too low, which no standard error tells)}",
     "log.repeats": "the log repeats itself every {seconds:time}, so that what the fit did not see is what it saw: try "
@@ -570,7 +570,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "to {seconds:g} s ahead in parts of the training data that the fit had not seen: {what}",
     "fit.added_rates": "no sensor sees {states:and}, by which the model predicts better; {known:plant.known} leaves "
     "rates out",
-    "fit.linear_inputs": "{inputs:list} moved in straight lines between samples, as the fit found, and was not held",
+    "fit.linear_inputs": "the data are told better where inputs move in straight lines between samples than where they "
+    "are held; so does {inputs:and}",
     "fit.hidden_states": "no sensor sees {states:and}, states of a linear model that are estimated from past samples; "
     "with them the model predicts better",
     "fit.behind": "{state} up to {seconds:time} ahead was predicted {factor:.3g} times as well by the best simple "

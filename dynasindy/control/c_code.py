@@ -19,7 +19,7 @@ import jinja2
 import numpy as np
 
 from dynasindy.control.controller import Array, Controller, IntegralAction
-from dynasindy.control.observer import FAR, LARGEST_SHIFT, LEAST, NUDGE, UNKNOWN
+from dynasindy.control.observer import FAR, LARGEST_SHIFT, LEAST, MOST_STEPS, NUDGE, STEPS, UNKNOWN
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.codegen import PLAIN, comment, formulas, number, right_sides
 from dynasindy.systems import Signature
@@ -215,6 +215,7 @@ def controller_sources(controller: Controller, name: str = "controller") -> Sour
             "sensed": sensed,
             "narrowest": (LEAST * size[sensed]).square(),
             "far": FAR,
+            "turns": (STEPS, MOST_STEPS),
             "most": LARGEST_SHIFT,
             "range": [*size[: observer.n_x].tolist(), *[1.0] * model.signature.n_u],
         }

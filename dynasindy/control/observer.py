@@ -46,11 +46,12 @@ CANDIDATES = torch.logspace(-3, -1, 9, dtype=torch.float64)
 """Process noise to choose from. Innovations on the data of its fit flatter a model: all are doubted a little."""
 NUDGE = 1e-4
 """Step of the central differences [ranges of the states and of the inputs]: right to eight digits in float64."""
-STEPS, DAMPING = 2, 1e-4
-"""Gauss-Newton steps per control period by which a push is counteracted, and how much they are damped."""
-LARGEST_SHIFT = 1.0
+STEPS, MOST_STEPS, DAMPING = 2, 10, 1e-4
+"""Gauss-Newton steps per control period by which a push is counteracted, how many there are where they lead beyond the
+largest shift, and how much they are damped."""
+LARGEST_SHIFT = 1.2
 """Most of a state or input that counteracts a push [ranges]: beyond it lies another branch of the model, as that of a
-pendulum which has turned over, and plants would be driven there."""
+pendulum which has turned over, and nothing is counteracted."""
 FAR = 1e3
 """Innovations that no plant has, and that count as lost samples [standard deviations]; so with estimates [ranges]."""
 LEAST = 0.003
@@ -246,7 +247,9 @@ class Observer:
         nudges, held = NUDGE * torch.cat([torch.zeros_like(eye[:1]), eye, -eye]), eye[list(outputs)]
         held = held.expand(*x.shape[:-1], *held.shape)
         wanted, point, shift = system(x, u) + push, torch.cat([x, u], -1), guess
-        for _ in range(STEPS):
+        most = LARGEST_SHIFT * scale
+        outside = torch.ones_like(shift[..., :1], dtype=torch.bool)
+        for turn in range(MOST_STEPS):
             around = (point - shift).unsqueeze(-2) + nudges * scale
             rates = (system(around[..., :n_x], around[..., n_x:]) - wanted.unsqueeze(-2)) / scale[:n_x]
             excess, forth, back = rates.split([1, n_x + n_u, n_x + n_u], -2)
@@ -255,8 +258,13 @@ class Observer:
             normal = slopes.mT @ slopes + DAMPING * eye
             # Far off, where a model explodes, the matrix may be singular in spite of the damping: no number, no shift.
             step, failed = torch.linalg.solve_ex(normal, slopes.mT @ missing)
-            shift = shift + step.squeeze(-1).masked_fill(failed.bool().unsqueeze(-1), torch.nan) * scale
-        return torch.where((shift.abs() <= LARGEST_SHIFT * scale).all(-1, keepdim=True), shift, torch.zeros_like(shift))
+            found = shift + step.squeeze(-1).masked_fill(failed.bool().unsqueeze(-1), torch.nan) * scale
+            shift = torch.where(outside, found.clamp(-most, most), shift)
+            if turn + 1 >= STEPS:
+                outside = outside & ~(found.abs() < most).all(-1, keepdim=True)
+                if not bool(outside.any()):
+                    break
+        return torch.where(outside, torch.zeros_like(shift), shift)
 
     def follow(self, y: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Filter a log.

@@ -152,6 +152,8 @@ def _in_steps(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[st
     standing = {name: _standing(column) for name, column in columns.items()}
     labels = {name for name, share in standing.items() if share > 1 - RARE and not (columns[name] % 1).any()}
     found = [name for name, share in standing.items() if share > HELD and name not in labels]
+    found = [name for name in found if not _is_measured(name, units[name])] or found
+    standing = {name: share for name, share in standing.items() if name in found or not _is_measured(name, units[name])}
     most = 0.5 * min((standing[name] for name in found), default=0.0)
     if not found or any(share >= most for name, share in standing.items() if name not in found):
         return []
@@ -260,7 +262,10 @@ def infer(
         free = {n: column for n, column in rest.items() if n not in followed and n not in named}
         acting = [n for n in _actuators(rest, units) if n not in named]
         # What moves in steps and no other follows is no reference, and drives what is called as an actuator, too.
-        found = _in_steps(free, units) or acting or _in_steps(rest, units)
+        stepping = _in_steps(free, units)
+        # A place that an encoder reads stands still as well.
+        read = all(_is_measured(name, units[name]) for name in stepping)
+        found = (acting if read else stepping) or stepping or _in_steps(rest, units)
         found, acting = [n for n in found if n not in named], found if found == acting else []
     led = [name for name in followed if name not in found]
     leave("followed", led)

@@ -44,6 +44,8 @@ from dynasindy.text import format_duration
 Array = NDArray[np.float64]
 ROUNDED = 1e-3
 """Part by which an input may leave its ends and still be meant to be within them, as rounding makes it."""
+SIMILAR = 3.0
+"""Times as far as another that an input may go to be one of its kind."""
 WIDE = 20.0
 """Range of an actuator, as a multiple of that in its log, from which on a note asks whether it is the right one."""
 LEAST = 50
@@ -665,19 +667,22 @@ def _actuator_ranges(
 ) -> list[ActuatorScaling]:
     """Return the range of each input `(N, n_u)`, as it was given or, if asked, as the log shows it; add findings.
 
-    Inputs that are named alike but for a number, as motors of a drone, have one range.
+    Inputs of one unit that are named alike but for a number, and go about as far, as motors of a drone, share a range.
     """
     kinds = [(re.sub(r"\d", "", name), given.unit) for name, given in inputs.items()]
-    alike = {kind: u[:, [k for k, other in enumerate(kinds) if other == kind]] for kind in kinds}
+    widths = np.ptp(u, axis=0)
     found, one_sided, extents = dict[str, ActuatorScaling](), dict[str, ActuatorScaling](), dict[str, Any]()
-    for (name, given), kind, values in zip(inputs.items(), kinds, u.T, strict=True):
+    for (name, given), kind, width, values in zip(inputs.items(), kinds, widths, u.T, strict=True):
+        near = (widths <= SIMILAR * width) & (width <= SIMILAR * widths)
+        alike = u[:, [kind == other and given.unit != "-" and bool(n) for other, n in zip(kinds, near, strict=True)]]
+        alike = alike if alike.size else values
         least, most = float(values.min()), float(values.max())
         extent = extents[name] = {"input": name, "least": least, "most": most}
         if least == most:
             raise LogError("log.constant_input", file=path, input=name, value=least)
         if np.isin(values, (least, most)).all():
             findings.append(weak("log.two_levels", input=name, low=least, high=most))
-        reach = _guess_range(float(alike[kind].min()), float(alike[kind].max()), given.unit) if guess else PLAIN
+        reach = _guess_range(float(alike.min()), float(alike.max()), given.unit) if guess else PLAIN
         if given.low is not None and given.high is not None:
             reach = ActuatorScaling.of(given.low, given.high, given.rest)
             if reach != PLAIN and max(reach.low - least, most - reach.high) > ROUNDED * (reach.high - reach.low) / 2:

@@ -330,10 +330,10 @@ def _filtered_states(model: SindyModel, data: Transitions, rows: Tensor, length:
     error = torch.cat([sensors.double(), scale.new_full((n_x - len(sensors),), math.nan)])
     variance = torch.where(error.isnan(), scale, error.maximum(LEAST_ERROR * scale)).square()
     noise = torch.full_like(scale, model.process_noise)
-    noise[list(rates.values())] = 0.0  # a place moves by its rate alone
+    noise[[*rates.values(), *model.followers]] = 0.0  # a place moves by its rate alone, a lag by what it follows
     pushed = torch.diag((noise * scale).square() * data.dt)
-    first = torch.where(error.isnan(), (UNKNOWN * scale).square(), variance)
-    x, covariance = guess.x[rows].double(), torch.diag(first).expand(len(rows), n_x, n_x)
+    first = torch.where(data.x[rows].isnan(), (UNKNOWN * scale).square(), variance)
+    x, covariance = guess.x[rows].double(), torch.diag_embed(first)
     for row in (rows + k for k in range(length)):
         ahead = partial(_simulated, model, inputs=data.inputs_of(row.reshape(-1, 1, 1)), dt=data.dt)
         moved, slopes = _slopes(ahead, x, SLOPE * scale)

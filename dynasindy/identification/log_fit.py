@@ -62,8 +62,8 @@ KEPT = 0.25
 """Part of the training data that candidates are judged on at a time."""
 MOST = 200
 """Samples before a start on which its states may be estimated, at most."""
-NOISES = 0.003, 0.01, 0.03, 0.1, 0.3
-"""Process noise with which states are filtered in trial [ranges of the states after a second]."""
+NOISES = 0.003, 0.01, 0.03, 0.1, 0.3, 1.0
+"""Process noise with which states are filtered [their ranges in the time in which the slowest of them changes]."""
 SOONEST, SLOWEST = 0.02, 3
 """First and last time ahead over which candidates are judged [times in which the slowest state changes]."""
 LOST = 1e3
@@ -200,6 +200,7 @@ class HoldOut:
         others: errors of simple models over each horizon, `(M, H, n_x)`.
         floor: error that is as good as none, `(n_x,)`.
         sensors: errors of the sensors, `(n_x,)`.
+        slow: time in which the slowest state changes [s].
     """
 
     early: Tensor
@@ -212,6 +213,7 @@ class HoldOut:
     others: Tensor
     floor: Tensor
     sensors: Tensor
+    slow: float
 
     @classmethod
     def folds(cls, source: Source) -> list[HoldOut]:
@@ -258,7 +260,7 @@ class HoldOut:
                 steps = _horizon_samples(last, SOONEST / SLOWEST * last)
         errors = torch.stack([errors_over(guess, real, steps) for guess in [*linear, held]])
         later, real = later[:, : steps[-1]], real[:, : steps[-1]]
-        return cls(early, kept, steps, starts, later, real, before, errors, floor, least)
+        return cls(early, kept, steps, starts, later, real, before, errors, floor, least, slow)
 
     @cached_property
     def simple(self) -> Tensor:
@@ -278,9 +280,10 @@ class HoldOut:
         """
         count = len(self.steps) if filtered else -(-len(self.steps) // 2)
         lengths = dict.fromkeys(max(3, self.before >> k) for k in range(6))
+        noises = [noise / self.slow**0.5 for noise in NOISES]
         kept, best, least = source.training.select(~self.early), None, math.inf
         chosen = model.memory, model.process_noise
-        for length, noise in (*((each, 0.0) for each in lengths), *((self.before, q) for q in NOISES if filtered)):
+        for length, noise in (*((each, 0.0) for each in lengths), *((self.before, q) for q in noises if filtered)):
             with _attempt():
                 model.process_noise = noise
                 begin = starting_states(model, kept, self.starts, length, self.sensors)

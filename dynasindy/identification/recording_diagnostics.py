@@ -36,8 +36,11 @@ WANTED = 100.0
 """Steps that a state should move by in a log."""
 TINY = 1e-9
 """Movement of an input that is none."""
-ALIKE, APART = 0.999, 0.9
-"""Correlations of a recording with itself a while ago at which it repeats itself, and below which it has moved on."""
+FEWEST, MOVING = 40, 0.1
+"""Samples of a recording that may repeat itself, at least, and part of a column's variance in its last quarter."""
+DIFFERENT, APART = 0.002, 20.0
+"""Mean square of differences from what was before, of the variance, at which it is the same, and multiple of that by
+which it differs in between."""
 
 
 def samples_of(data: Transitions) -> list[Array]:
@@ -54,23 +57,29 @@ def _all_samples_of(data: Transitions) -> list[Array]:
 
 
 def repetition(data: Transitions) -> float | None:
-    """Return after which time the last quarter of a recording, and more of it, repeats what was before [s], if it does.
+    """Return how long before the last quarter of a recording was the same, but for noise of the sensors [s], if it was.
 
     What is kept of it to judge a model on is then no test of that.
     """
     whole = data.longest_stretch()
-    columns = torch.cat([whole.u, whole.x[:, ~whole.x.isnan().any(0)]], -1).double()
-    moved: Array = ((columns - columns.mean(0)) / columns.std(0).clamp_min(TINY)).numpy()
-    count, most = len(moved), 3 * len(moved) // 4
-    if most < 2:
+    measured = ~whole.x.isnan().any(0)
+    columns = torch.cat([whole.u, whole.x[:, measured]], -1).double()
+    errors = torch.cat([torch.zeros(whole.u.shape[1]), sensor_errors(whole)[measured]]).double()
+    count, start = len(columns), 3 * len(columns) // 4
+    last = columns[start:]
+    moving = last.var(0) > MOVING * columns.var(0) if count >= FEWEST else torch.zeros(0, dtype=torch.bool)
+    if not bool(moving.any()):
         return None
-    spectrum = np.fft.rfft(moved, 2 * count, axis=0)
-    product = np.fft.irfft(np.abs(spectrum) ** 2, axis=0)[:most].sum(1)
-    energy = np.concatenate([[0.0], (moved**2).sum(1).cumsum()])
-    later = np.arange(most)
-    share = 2 * product / (energy[count - later] + energy[count] - energy[later])
-    again = np.flatnonzero((share > ALIKE) & (np.minimum.accumulate(share) < APART))
-    return None if not len(again) else (int(again[0]) + int(share[again[0] :][: again[0]].argmax())) * data.dt
+    mean, allowed = last[:, moving].mean(0), DIFFERENT * last[:, moving].var(0) + 2 * errors[moving].square()
+    moved: Array = (columns[:, moving] - mean).numpy()
+    spectra = np.fft.rfft(moved, 2 * count, axis=0), np.fft.rfft(moved[start:], 2 * count, axis=0)
+    product = np.fft.irfft(spectra[0] * spectra[1].conj(), axis=0)[: start + 1]
+    energy = np.concatenate([np.zeros((1, moved.shape[1])), (moved**2).cumsum(0)])
+    begins, length = np.arange(start + 1), count - start
+    apart = (energy[begins + length] - energy[begins] + energy[count] - energy[start] - 2 * product) / length
+    share = (apart / allowed.numpy()).max(1)[::-1]  # by how long before
+    again = np.flatnonzero((share <= 1) & (np.maximum.accumulate(share) > APART))
+    return None if not len(again) else (int(again[0]) + int(share[again[0] :][:FEWEST].argmin())) * data.dt
 
 
 def resolutions(data: Transitions, model: SindyModel | None = None) -> Tensor:

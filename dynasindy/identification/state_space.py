@@ -122,6 +122,8 @@ def chain_candidates(
     signature, rates = of.signature, rate_states(of.library, of.constraints)
     own, unmeasured = signature.state_index(state), data.x.isnan().all(0)
     rate = next((k for k, place in rates.items() if place == own and unmeasured[k]), None)
+    if rate is None and not bool(of.constraints.free[:, own].any()):
+        return  # its equation is known
     data = delay_and_trim(data, of.delay)
     full = reconstruct(data, rates)
     others = [k for k in range(signature.n_x) if k != own and (not unmeasured[k] or k in rates) and k != rate]
@@ -138,8 +140,8 @@ def _with_chain(of: SindyModel, chain: SindyModel, rate: int | None, named: Coll
     """Return a model with the equations of a chain in place of those of its first state and of the rate of that."""
     old, new, features, kept = of.signature, chain.signature, chain.library.features, set[str]()
     if rate is not None and old.state_names[rate] in named:
-        own, *hidden = new.state_names
-        names = own, old.state_names[rate], *hidden[:-1]
+        own, _, *hidden = new.state_names
+        names = own, old.state_names[rate], *hidden
         features = tuple(each.renamed(dict(zip(new.state_names, names, strict=True))) for each in features)
         new, kept, rate = replace(new, state_names=names), {own}, None
     every = [row for s in (old, new) for row in zip(s.state_names, s.state_units, s.x_scale, strict=True)]

@@ -15,14 +15,17 @@ from dynasindy.identification.recording_diagnostics import repetition, samples_o
 from dynasindy.identification.source import Source
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.library import Factor, Feature
+from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
 RESOLVED = 2.0
 """Error up to which a prediction is as good as a sensor can tell [what the sensor resolves]."""
-BEHIND, BETTER = 0.5, 0.97
+BEHIND, BETTER, OFTEN = 0.5, 0.9, 0.97
 """Parts of a model's error that a linear model on past samples may have, below which something is missing, and below
-which it is the better one."""
+which it is the better one; so it is where that is less clear and at several horizons."""
+SEVERAL = 3
+"""Horizons at which a linear model is ahead by no chance."""
 SMALL = 1e-3
 """Error of a model that is small enough, whatever others make of it [ranges of the state]."""
 ROUNDED = 1e-5
@@ -110,8 +113,8 @@ def linear_better(forecasts: ForecastErrors, signature: Signature) -> list[Findi
     large = (forecasts.model > small) & (forecasts.linear < forecasts.held)
     for i in range(n_x):
         ratio = torch.where(large[:, i], forecasts.linear[:, i] / forecasts.model[:, i], math.inf)
-        worse = [[k for k in range(horizons) if float(ratio[k]) < limit] for limit in (BEHIND, BETTER)]
-        if not (places := worse[0] or worse[1]):
+        worse = [[k for k in range(horizons) if float(ratio[k]) < limit] for limit in (BEHIND, BETTER, OFTEN)]
+        if not (places := worse[0] or worse[1] or worse[2] * (len(worse[2]) >= SEVERAL)):
             continue
         k, far = places[0], bool(worse[0])
         facts = {"state": signature.state_names[i], "unit": signature.state_units[i], "far": far}
@@ -264,14 +267,19 @@ def what_to_leave_out(findings: Sequence[Finding], source: Source, model: SindyM
     """
     facts = [each.values for each in findings if each.severity == "wrong"]
     poor = {name for each in facts for name in (*each.get("errors", ()), *each.get("states", ()), each.get("state"))}
-    kept = [name for name in _names(source.signature, ~source.training.x.isnan().all(0)) if name not in poor]
-    columns = dict(zip(model.signature.state_names, model.coefficients.mT, strict=True))
-    reads = {name: _variables(_used(model.library.features, column)) for name, column in columns.items()}
-    moving = {*kept}
-    for _ in reads:
+    measured, names = _names(source.signature, ~source.training.x.isnan().all(0)), model.signature.state_names
+    reads = {
+        name: _variables(_used(model.library.features, column))
+        for name, column in zip(names, model.coefficients.mT, strict=True)
+    }
+    for rate, place in rate_states(model.library, model.constraints).items():
+        reads[names[rate]] |= {names[place]}  # a rate is none without its place
+    moving = {name for name in measured if name not in poor}
+    for _ in names:
         moving |= {each for name in moving for each in reads.get(name, ())}
     poor = poor & {*source.signature.state_names} - moving
-    return [weak("model.leave_out", states=sorted(poor), kept=kept)] if poor and kept else []
+    kept = [name for name in measured if name not in poor]
+    return [weak("model.leave_out", states=sorted(poor), kept=kept)] if poor and moving else []
 
 
 def recording_findings(data: Transitions, signature: Signature) -> list[Finding]:

@@ -286,8 +286,8 @@ class GradientPlanning(Planner):
         for k in range(0 if "updates" in self.given else ROUNDS):
             if rests is None:
                 break
-            leaves = self._leaves_bounds()
-            if not leaves and (self.steady_state_error() or 0.0) <= ACCEPTABLE_ERROR:
+            leaving = self._leaving_share()
+            if not leaving and (self.steady_state_error() or 0.0) <= ACCEPTABLE_ERROR:
                 break
             # The law of the model, where that is better than what the gradient has found and nobody rules it out.
             if not held and self.given.get("warm_start", True):
@@ -298,12 +298,17 @@ class GradientPlanning(Planner):
             # As long as those of the first phase: what it has not reached, the few updates of a later one do not.
             # Targets come before margins, and so do bounds, which weaker inputs may not be able to keep.
             self.margin_cost = None
-            if leaves:
+            weights, varied = copy.deepcopy(self.network.state_dict()), (rows.strength, rows.late)
+            if leaving:
                 rows.strength = rows.late = None
                 for each in episodes:
                     each.vary(None)
                 before = self.test()
             parts.append(self._descend(episodes, before, pace.updates, pace.lr * FALL ** (k + 1), held))
+            if leaving and self._leaving_share() >= leaving:  # no policy keeps them
+                self.network.load_state_dict(weights)
+                rows.strength, rows.late = varied
+                break
             if k >= LEAST and parts[-1].score - before <= GAIN * abs(before):
                 break
         if rests is None and self.searches:  # there is no rest that ways could have been searched to
@@ -357,17 +362,18 @@ class GradientPlanning(Planner):
         error = error.where(whole.alive[-1, :, None], torch.inf)
         return min(float(error[:, rests].mean((0, 1)).amax()), LARGEST_ERROR)
 
-    def _leaves_bounds(self) -> bool:
-        """Tell whether held-out imagined episodes leave the plant's bounds, where real ones end, by more than a little.
+    def _leaving_share(self) -> float:
+        """Return the share of held-out imagined episodes that leave the plant's bounds by more than a little.
 
-        Inputs act as in the model.
+        Real episodes end there. Inputs act as in the model.
         """
         task = self.env.task
         assert isinstance(task, Tracking)
         rows = replace(self.held_out, strength=None, late=None, kept=False)
-        states = imagine(self.env, self._limited(self.network), rows, task.max_steps).states
-        (low, high), size = task.bounds.to(states), states.new_tensor(task.signature.x_scale)
-        return bool((torch.maximum(states - high, low - states) > FENCE_WIDTH * size).any())
+        whole = imagine(self.env, self._limited(self.network), rows, task.max_steps)
+        (low, high), size = task.bounds.to(whole.states), whole.states.new_tensor(task.signature.x_scale)
+        beyond = (torch.maximum(whole.states - high, low - whole.states) > FENCE_WIDTH * size).any(-1)
+        return float((beyond | ~whole.alive).any(0).double().mean()) if bool(task.bounds.isfinite().any()) else 0.0
 
     def _limited(self, network: Network) -> Network:
         """Return a policy whose inputs keep the task's limits."""

@@ -95,8 +95,8 @@ class SindyModel(WorldModel):
     `covariance` tells after a fit how well the coefficients are known; None where nothing does. `findings` holds what
     `dynasindy.identify` found, `linear_inputs` the names of the inputs that moved in straight lines between the samples
     of the log, where others are held, `memory` on how much of the past states were best estimated [s], 0 where nothing
-    told, `process_noise` with which [ranges of the states after a second], and `places` which functions are left of a
-    library that was cut to the size of the data; it is empty where the library is whole.
+    told, `process_noise` with which [ranges of the states per root of a second], and `places` which functions are left
+    of a library that was cut to the size of the data; it is empty where the library is whole.
 
     Raises:
         ValueError: a name of a state, an input or a function does not exist, or `time` is another word.

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.safe_io import write_json
-from dynasindy.systems.base import Altered, Signature, System
+from dynasindy.systems.base import Signature, System
 from dynasindy.systems.integrators import moved, trajectory
 from dynasindy.systems.transitions import Transitions
 
@@ -46,7 +46,7 @@ class WorldModel(System):
         """Write the model to a readable file."""
 
 
-class Oracle(Altered, WorldModel):
+class Oracle(WorldModel):
     """A model that is right from the start and learns nothing.
 
     Args:
@@ -55,7 +55,13 @@ class Oracle(Altered, WorldModel):
     """
 
     def __init__(self, signature: Signature, system: System) -> None:
-        super().__init__(system)
+        super().__init__(signature)
+        self.system = system
+
+    @property
+    def step(self) -> float | None:
+        """Step of the difference equation that it is [s]; None of a differential equation."""
+        return self.system.step
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return the plant's dx/dt, `(*batch, n_x)`."""

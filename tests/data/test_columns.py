@@ -309,6 +309,14 @@ def test_an_input_that_a_controller_makes_of_states_is_of_a_kind_with_one_in_ste
     assert list(infer(Table.read(path))[1]) == inputs
 
 
+@pytest.mark.parametrize("force", ["motor_torque [Nm]", "u [N]", "valve [%]"])
+def test_what_an_encoder_reads_in_steps_is_no_input_beside_an_actuator_that_moves_in_every_row(tmp_path, force):
+    angle, _, torque = HELD_ARM
+    table, path = np.stack([LONG, np.round(angle / 0.02) * 0.02, torque], 1), tmp_path / "log.csv"
+    np.savetxt(path, table, fmt="%.6f", delimiter=",", header=f"time [s],angle [rad],{force}", comments="")
+    assert list(infer(Table.read(path))[1]) == [force.split()[0]]
+
+
 def test_what_is_called_as_an_actuator_and_moves_nothing_is_no_input(tmp_path):
     """A supply's voltage that nothing follows; of three torques of which none is told apart all are offered."""
     path, rng = tmp_path / "log.csv", np.random.default_rng(6)

@@ -8,6 +8,7 @@ import pytest
 import torch
 from plants import scipy_motion
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
 from dynasindy.dyna.simulated import record_plant
@@ -162,6 +163,18 @@ def noisy_tank(rows=600, pushes=0.01):
     for held in u:
         y.append(y[-1] * math.exp(-0.05) + (1 - math.exp(-0.05)) * held + rng.normal(0, pushes))
     return source_of(y + rng.normal(0, 0.02, rows + 1), u, 0.1)
+
+
+def test_process_noise_is_found_of_an_oscillator_that_is_pushed_at_random(one_fold):
+    u, rng, noises = steps(0, 60, 10), np.random.default_rng(0), []
+    e = expm(0.05 * np.array([[0, 1, 0], [-9, -0.6, 9], [0, 0, 0]]))
+    for push in (0.0, 1.0):
+        x, y = np.zeros(2), [0.0]
+        for held in u:
+            x = e[:2, :2] @ x + e[:2, 2] * held + [0.0, push * math.sqrt(0.05) * rng.normal()]
+            y.append(x[0])
+        noises.append(fitted(source_of(y + rng.normal(0, 0.01, len(y)), u, 0.05), seconds=5.0).model.process_noise)
+    assert noises[1] > 10 * noises[0]
 
 
 def test_a_search_without_time_keeps_its_first_candidate():

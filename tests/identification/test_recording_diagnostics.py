@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from plants import scipy_motion
+from scipy.signal import lfilter
 
 import dynasindy
 from dynasindy.identification.forecast_errors import ForecastErrors
@@ -26,13 +27,25 @@ from dynasindy.systems.transitions import Transitions
 T = 0.01 * np.arange(3000)
 
 
-@pytest.mark.parametrize(("second", "period"), [(2.0, 10.0), (2 * math.pi, None)])
-def test_a_log_of_waves_with_one_period_repeats_itself_and_one_of_others_does_not(second, period):
-    """Waves of 10/3 s and of 10/5 s are alike every 10 s, those of times without a common multiple never quite."""
-    wave = np.sin(0.6 * math.pi * T) + np.sin(2 * math.pi / second * T)
-    x = torch.from_numpy(wave[:, None] + 0.01 * np.random.default_rng(0).normal(size=(len(T), 1)))
-    data = Transitions.from_trajectory(x, torch.from_numpy(wave[:-1, None] ** 2), 0.01)
-    assert repetition(data) == (None if period is None else pytest.approx(period, abs=0.02))
+def first_order(u, error=0.0):
+    """A recording of y' = 4 (u - y) from rest, exact between samples, but for noise of its sensor."""
+    y = np.concatenate([[0.0], lfilter([1 - math.exp(-0.04)], [1.0, -math.exp(-0.04)], u)])
+    y = y + error * np.random.default_rng(1).normal(size=len(y))
+    return Transitions.from_trajectory(torch.from_numpy(y[:, None]), torch.from_numpy(u[:, None]), 0.01)
+
+
+@pytest.mark.parametrize("error", [0.0, 0.03])
+@pytest.mark.parametrize(("times", "seconds"), [(5, 6.0), (1, None)])
+def test_a_log_repeats_itself_where_its_inputs_do_whatever_its_sensor_adds(times, seconds, error):
+    levels = np.random.default_rng(0).uniform(-1, 1, 300 // times)
+    u = np.tile(np.repeat(levels, 10), times)
+    assert repetition(first_order(u, error)) == (seconds and pytest.approx(seconds))
+
+
+@pytest.mark.parametrize("rest", [400, 900])
+def test_a_log_that_rests_between_movements_does_not_repeat_itself(rest):
+    moved = np.repeat(np.random.default_rng(0).uniform(-1, 1, 60), 10)
+    assert repetition(first_order(np.pad(moved, rest))) is None
 
 
 @pytest.mark.parametrize("step", [0.0015, 0.02])

@@ -66,9 +66,11 @@ def test_a_rate_that_a_user_named_stays_the_rate_where_the_far_end_is_hidden():
     for model in found:
         model.set_coefficients(torch.where(model.constraints.free, model.initial, model.constraints.offset))
         assert model.equations()[0] == "angle' = speed"
-    names = ("angle", "speed", "hidden_1", "hidden_2")
+    names = ("angle", "speed", "hidden_2", "hidden_3")
     assert all(model.signature.state_names == names and not model.constraints.free[:, 0].any() for model in found)
     assert min(distance(poles(model), np.linalg.eigvals(SOFT_SHAFT)) for model in found) < 0.05
+    known = Transitions.from_trajectory(y.nan_to_num(0.5), torch.from_numpy(u[:-1, None]), DT)
+    assert not list(chain_candidates(motor, known, "angle", signature.state_names))  # nothing is sought of a place
 
 
 @pytest.mark.parametrize("blind", [0, 1])
@@ -109,9 +111,11 @@ def test_a_place_behind_a_late_sensor_gets_hidden_states_beside_a_motor_with_fri
 
 
 @pytest.mark.slow
-def test_the_far_end_of_a_soft_shaft_is_found_by_its_motor_alone(one_fold):  # noqa: F811
+@pytest.mark.parametrize("known", [None, {"y": "speed"}])
+def test_the_far_end_of_a_soft_shaft_is_found_by_its_motor_alone(one_fold, known):  # noqa: F811
     u = steps(0, 150, 10)
-    found = fitted(source_of(measured(ANGLE, 0.0, u, "zoh"), u[:-1], DT, units=("rad",)), seconds=10.0)
+    source = source_of(measured(ANGLE, 0.0, u, "zoh"), u[:-1], DT, units=("rad",))
+    found = fitted(source.with_rates(known or {}), seconds=10.0, **({"known": known} if known else {}))
     assert distance(poles(found.model), np.linalg.eigvals(SOFT_SHAFT)) < 0.03
     assert "fit.behind" not in {finding.code for finding in found.report.findings}
 

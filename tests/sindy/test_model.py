@@ -467,10 +467,10 @@ def test_a_model_of_a_stranger_is_numbers_and_registered_names_or_is_refused(wri
 def test_fitted_numbers_and_the_delay_come_back_to_the_last_digit(tmp_path):
     words = ["tanh(~7 Omega_a)", "Omega_p^2 per_cos2(~3 alpha_p)", "root(~0.1 alpha_a)", "tanh(7 Omega_a)"]
     library = Library(Xi().signature, map(parse, words)).with_shapes([5 + 1 / 3, 10 / 3, np.pi / 30])
-    save(library, coefficients(library), tmp_path / "model.json", delay=0.1 / 3)
+    save(library, coefficients(library), tmp_path / "model.json", delay=0.1 / 3, process_noise=0.2 / 3)
     model = SindyModel.load(tmp_path / "model.json")
     again, delay = model.library, model.delay
-    assert again.features == library.features and delay == 0.1 / 3
+    assert again.features == library.features and (delay, model.process_noise) == (0.1 / 3, 0.2 / 3)
     numbers = [(shape.frequency, shape.fitted) for shape in again.shapes]
     assert numbers == [(5 + 1 / 3, 7.0), (10 / 3, 3.0), (np.pi / 30, 0.1)]
     save(library, coefficients(library), tmp_path / "model.json")

@@ -142,10 +142,10 @@ static void counteract({{ name }}_state *s, const double x[N])
     static const double range[NZ] = { {{- range | numbers -}} }; /* of states and inputs */
     double slopes[NX][NZ], normal[NZ][NZ + 1], z[N + NU], wanted[N], forth[N], back[N];
     const double *u = s->inputs[MEMORY - 1];
-    int i, j, k, turn, sound = 1;
+    int i, j, k, turn, outside = 1;
     memset(z, 0, sizeof z); /* states, pushes, which are none, and inputs */
     rates(x, u, wanted);
-    for (turn = 0; turn < 2; turn++) {
+    for (turn = 0; turn < {{ turns[1] }} && (turn < {{ turns[0] }} || outside); turn++) {
         for (j = 0; j < NZ; j++)
             z[j < NX ? j : j + N - NX] = (j < NX ? x[j] : u[j - NX]) - s->shift[j];
         for (j = 0; j < NZ; j++) {
@@ -176,12 +176,15 @@ static void counteract({{ name }}_state *s, const double x[N])
                 for (k = i; k <= NZ; k++)
                     normal[j][k] -= factor * normal[i][k];
             }
-        for (j = 0; j < NZ; j++)
-            s->shift[j] += normal[j][NZ] / normal[j][j] * range[j];
+        outside = 0;
+        for (j = 0; j < NZ; j++) {
+            const double found = s->shift[j] + normal[j][NZ] / normal[j][j] * range[j];
+            const double most = {{ most | number }} * range[j]; /* beyond it is another branch of the model */
+            outside = outside || !(fabs(found) < most);
+            s->shift[j] = isfinite(found) ? fmax(-most, fmin(found, most)) : found;
+        }
     }
-    for (j = 0; j < NZ; j++)
-        sound = sound && fabs(s->shift[j]) <= {{ most | number }} * range[j];
-    if (!sound)
+    if (outside)
         memset(s->shift, 0, sizeof s->shift);
 }
 @ endif
