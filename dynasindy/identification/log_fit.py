@@ -462,7 +462,8 @@ class _Search:
                 self._try_larger_libraries([each])
         if early := bool(linear) and self.best.score > FAR_BEHIND:  # no function explains it
             until = time.process_time() + HIDDEN_SHARE * self.refinement.seconds
-            self._try_hidden_states(self._try_state_space, until=min(self.until, until))
+            attempt = self._try_chains if self.given.given_known else self._try_state_space
+            self._try_hidden_states(attempt, until=min(self.until, until))
         has_new_state = False
         if self.builder is not None and self.tried:
             self._try_larger_libraries(self._near())
