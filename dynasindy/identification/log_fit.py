@@ -62,7 +62,7 @@ KEPT = 0.25
 """Part of the training data that candidates are judged on at a time."""
 MOST = 200
 """Samples before a start on which its states may be estimated, at most."""
-NOISES = 0.003, 0.01, 0.03, 0.1, 0.3, 1.0
+NOISES = 0.01, 0.03, 0.1, 0.3
 """Process noise with which states are filtered [their ranges in the time in which the slowest of them changes]."""
 SOONEST, SLOWEST = 0.02, 3
 """First and last time ahead over which candidates are judged [times in which the slowest state changes]."""
@@ -295,6 +295,12 @@ class HoldOut:
         if best is None:
             return torch.full_like(self.simple, math.inf)
         return self._errors_from(model, source, best, len(self.steps))
+
+    def errors_as_told(self, model: SindyModel, source: Source) -> Tensor:
+        """Return the errors of a model over each horizon, `(H, n_x)`, that starts as its memory and its noise say."""
+        kept = source.training.select(~self.early)
+        begin = starting_states(model, kept, self.starts, max(1, round(model.memory / kept.dt)), self.sensors)
+        return self._errors_from(model, source, begin, len(self.steps))
 
     def _errors_from(self, model: SindyModel, source: Source, begin: Tensor, count: int) -> Tensor:
         """Return errors over the first horizons from states on, `(count, n_x)`."""
@@ -868,9 +874,13 @@ class _Search:
             with self._time_limit(until if settings.method == "trajectory" else math.inf) as ended:
                 report = model.fit(data.select(rows))
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
-        judged = zip(self.folds, best.models, best.errors, strict=False)
-        best = replace(best, errors=[fold.errors(each, best.source, filtered=True) for fold, each, _ in judged])
+        errors = [self.folds[0].errors(best.model, best.source, filtered=True)]
         model.memory, model.process_noise = best.model.memory, best.model.process_noise
+        for fold, each, _ in list(zip(self.folds, best.models, best.errors, strict=False))[1:]:
+            each.memory, each.process_noise = model.memory, model.process_noise
+            with _attempt():
+                errors.append(fold.errors_as_told(each, best.source))
+        best = replace(best, errors=errors)
         seconds = self.folds[0].steps[-1] * data.dt
         findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), what=best.what, seconds=seconds)]
         known = self.source.signature.state_names
