@@ -122,8 +122,9 @@ def test_the_far_end_of_a_soft_shaft_is_found_by_its_motor_alone(one_fold, known
     assert "fit.behind" not in {finding.code for finding in found.report.findings}
 
 
-def test_hidden_states_are_tried_before_longer_simulations_where_no_function_explains_a_log(one_fold):  # noqa: F811
-    u = steps(0, 60, 10)
+@pytest.mark.parametrize("known", [{}, {"y": "speed"}])
+def test_hidden_states_are_tried_before_longer_simulations_where_no_function_explains_a_log(one_fold, known):  # noqa: F811
+    u, given = steps(0, 60, 10), {"known": known} if known else {}
 
     class Dear(BaseException):
         """A candidate that takes long."""
@@ -132,8 +133,9 @@ def test_hidden_states_are_tried_before_longer_simulations_where_no_function_exp
         if "hidden" in event.phase or f"simulations of {SHORTEST}" in event.phase:
             raise Dear(event.phase)
 
+    source = source_of(measured(ANGLE, 0.0, u, "zoh"), u[:-1], DT, units=("rad",))
     with pytest.raises(Dear, match="hidden"), listening(stop):
-        fitted(source_of(measured(ANGLE, 0.0, u, "zoh"), u[:-1], DT, units=("rad",)), seconds=60.0)
+        fitted(source.with_rates(known), seconds=60.0, **given)
 
 
 def test_nothing_hidden_is_added_where_nothing_is_to_be_known(one_fold):  # noqa: F811
