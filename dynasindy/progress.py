@@ -115,8 +115,8 @@ def track(phase: str, items: Iterable[Item], total: int, unit: str = "") -> Iter
 def reporting_as(phase: str) -> Iterator[None]:
     """Let all reports from inside be of one phase, which its parts do not know of."""
     _phases.append(phase)
-    report_progress(phase)
     try:
+        report_progress(phase)
         yield
     finally:
         _phases.pop()
