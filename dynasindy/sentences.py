@@ -500,8 +500,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "give its own, and low: -1, high: 1 keeps the numbers as they are: {inputs:data.inputs}",
     "log.resolution": "{state} is read in steps of {step:.3g}{unit:unit}{coarse:?(a sensor that cuts off reads half a "
     "step too low, which no standard error tells)}",
-    "log.repeats": "the log repeats itself every {seconds:time}, so that what the fit did not see is what it saw: try "
-    "the model on another log",
+    "log.repeats": "the log repeats itself every {seconds:time}, so what was kept from the fit is like what it saw and "
+    "tells little of the model: judge it on another log",
     "log.low_signal": _quiet,
     "log.touched_stop": "{count:# sample|# samples} that touched a stop {count:was|were} left out",
     "log.rate_contradicted": "{rate} was given as the rate of {state}, which the log contradicts: {state} does not "
@@ -570,8 +570,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "to {seconds:g} s ahead in parts of the training data that the fit had not seen: {what}",
     "fit.added_rates": "no sensor sees {states:and}, by which the model predicts better; {known:plant.known} leaves "
     "rates out",
-    "fit.linear_inputs": "the data are told better where inputs move in straight lines between samples than where they "
-    "are held; so does {inputs:and}",
+    "fit.linear_inputs": "taken to move in straight lines between samples, not to be held, as the model then predicts "
+    "better: {inputs:and}",
     "fit.hidden_states": "no sensor sees {states:and}, states of a linear model that are estimated from past samples; "
     "with them the model predicts better",
     "fit.behind": "{state} up to {seconds:time} ahead was predicted {factor:.3g} times as well by the best simple "

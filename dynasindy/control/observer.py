@@ -29,6 +29,7 @@ from dynasindy.findings import FindingError
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Altered, Diverged, Signature, System, integrate
 from dynasindy.systems.equilibria import central_differences
+from dynasindy.systems.kalman import kalman_update
 from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import split_delay, steps_of
 
@@ -184,26 +185,18 @@ class Observer:
         measured, off = ~y.isnan(), y.double() - belief.mean
         own = belief.covariance.diagonal(dim1=-2, dim2=-1) + self.variance
         seen = measured & (off.square() <= FAR**2 * own.clamp_min((LEAST * self.scale).square()))
-        pick = torch.diag_embed(seen.double())
-        r = torch.where(seen, self.variance, 1.0)
-        innovation = torch.where(seen, off, 0.0).unsqueeze(-1)
-        gained = belief.covariance @ pick
-        spread = pick @ gained + torch.diag_embed(r)
         try:
-            gain = torch.linalg.solve(spread, gained.mT).mT
+            believed = y.double().masked_fill(~seen, torch.nan)
+            found = kalman_update(belief.mean, belief.covariance, believed, self.variance)
         except torch.linalg.LinAlgError as error:  # type: ignore[attr-defined]
             raise Diverged(
                 f"observer: the covariance of {', '.join(self.model.signature.state_names)} has grown beyond what can "
                 f"be solved within a control period of {self.dt:g} s; fit the model to more data, or shorten env.dt"
             ) from error
-        left = torch.eye(len(self.scale), dtype=torch.float64) - gain @ pick
-        covariance = left @ belief.covariance @ left.mT + (gain * torch.where(seen, r, 0.0).unsqueeze(-2)) @ gain.mT
+        mean, covariance, squared, likelihood = found
         if not torch.equal(seen, measured):
             doubt = torch.where(measured & ~seen, (UNKNOWN * self.scale).square(), 0.0)
             covariance = covariance + torch.diag_embed(doubt)
-        squared = (innovation.mT @ torch.linalg.solve(spread, innovation)).squeeze(-1).squeeze(-1)
-        likelihood = -0.5 * (squared + torch.linalg.slogdet(spread).logabsdet)
-        mean = belief.mean + (gain @ innovation).squeeze(-1)
         # What a measurement confirms may be far away, as a wheel that was turned long.
         near = mean.isfinite() & (seen | (mean.abs() <= FAR * self.scale))
         sound = (near.all(-1) & covariance.isfinite().all((-2, -1))).unsqueeze(-1)

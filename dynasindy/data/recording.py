@@ -674,8 +674,8 @@ def _actuator_ranges(
     found, one_sided, extents = dict[str, ActuatorScaling](), dict[str, ActuatorScaling](), dict[str, Any]()
     for (name, given), kind, width, values in zip(inputs.items(), kinds, widths, u.T, strict=True):
         near = (widths <= SIMILAR * width) & (width <= SIMILAR * widths)
-        alike = u[:, [kind == other and given.unit != "-" and bool(n) for other, n in zip(kinds, near, strict=True)]]
-        alike = alike if alike.size else values
+        same = np.array([kind == other for other in kinds]) & near
+        alike = values if given.unit == "-" else u[:, same]
         least, most = float(values.min()), float(values.max())
         extent = extents[name] = {"input": name, "least": least, "most": most}
         if least == most:

@@ -174,7 +174,7 @@ def _cell(values: pd.Series[float]) -> str:
     """Return a figure over seeds; a run that never reached the level counts as infinite."""
     if values.name in (ERROR, SHARE) and values.isna().all():
         return ""  # it is measured by the other one
-    return over_seeds((values * (100 if values.name == SHARE else 1)).fillna(math.inf).tolist(), 4, "never")
+    return _over_seeds((values * (100 if values.name == SHARE else 1)).fillna(math.inf).tolist(), 4, "never")
 
 
 def _read_run(folder: Path, root: Path, level: Level) -> tuple[dict[str, Any], pd.DataFrame]:
@@ -251,7 +251,7 @@ OVER_SEEDS = (
     "Interquartile mean over seeds [95 % bootstrap interval]; where there are fewer than three seeds, the value of "
     "each."
 )
-"""What the figures of `over_seeds` are."""
+"""What the figures of `_over_seeds` are."""
 ORDER, AXES = "Values of single seeds stand in the order of the seeds.", "A slash parts the axes."
 """How a cell with several values is read."""
 
@@ -344,7 +344,7 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     )
 
 
-def over_seeds(values: Sequence[float], digits: int = 3, infinite: str = "inf") -> str:
+def _over_seeds(values: Sequence[float], digits: int = 3, infinite: str = "inf") -> str:
     """Return the interquartile mean over seeds and the 95 % interval of its bootstrap, `middle [low, high]`.
 
     Fewer than three seeds give no interval: each stands for itself, `first, second`.
@@ -373,4 +373,4 @@ def _finite(values: Sequence[float | None]) -> str:
     """Return the figure over seeds, or how many runs have no number: leaving them out would flatter the setting."""
     found = [value for value in values if value is not None and math.isfinite(value)]
     missing = len(values) - len(found)
-    return f"not finite in {missing} of {len(values)}" if missing else over_seeds(found)
+    return f"not finite in {missing} of {len(values)}" if missing else _over_seeds(found)

@@ -294,11 +294,9 @@ class Evaluation:
         if ends is None or moved is None or not bool((over := ~moved[:, -1, 0]).any()):
             return []
         steps = moved[over].sum((1, 2)) - 1
-        last = (
-            self.trajectory["next", "state"][over, -1],
-            self.trajectory["state"][over, steps],
-        )  # of a period, its ends
-        at, was = ((x <= ends[0]) | (x >= ends[1]) for x in last)
+        # Both ends of the last period: what was reached before did not end the run.
+        after, before = self.trajectory["next", "state"][over, -1], self.trajectory["state"][over, steps]
+        at, was = ((x <= ends[0]) | (x >= ends[1]) for x in (after, before))
         reached = (at & ~was).any(0) & ends.isfinite().all(0)
         inner = (ends.mean(0) + INSIDE * (ends - ends.mean(0))).mT.tolist()
         sides = zip(self.signature.state_names, inner, reached.tolist(), strict=True)

@@ -30,6 +30,7 @@ from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.sindy.world_model import variance
 from dynasindy.systems.base import Signature, turn_of
 from dynasindy.systems.equilibria import LocalModes, central_differences
+from dynasindy.systems.kalman import kalman_update
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import MANY
 
@@ -339,17 +340,9 @@ def _filtered_states(model: SindyModel, data: Transitions, rows: Tensor, length:
         moved, slopes = _slopes(ahead, x, SLOPE * scale)
         spread = slopes @ covariance @ slopes.mT + pushed
         sound = moved.isfinite().all(-1) & spread.isfinite().all((-2, -1))
-        x, covariance = (
-            torch.where(sound.unsqueeze(-1), moved, x),
-            torch.where(sound[:, None, None], spread, covariance),
-        )
-        seen = ~data.x_next[row].isnan()
-        pick, off = torch.diag_embed(seen.double()), torch.where(seen, data.x_next[row] - x, 0.0)
-        total = pick @ covariance @ pick + torch.diag_embed(torch.where(seen, variance, 1.0))
-        gain = torch.linalg.solve_ex(total, pick @ covariance)[0].mT
-        x = x + (gain @ off.unsqueeze(-1)).squeeze(-1)
-        covariance = covariance - gain @ pick @ covariance
-        covariance = 0.5 * (covariance + covariance.mT)
+        x = torch.where(sound.unsqueeze(-1), moved, x)
+        covariance = torch.where(sound[:, None, None], spread, covariance)
+        x, covariance, _, _ = kalman_update(x, covariance, data.x_next[row].double(), variance)
     return x
 
 

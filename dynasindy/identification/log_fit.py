@@ -280,27 +280,29 @@ class HoldOut:
         """
         count = len(self.steps) if filtered else -(-len(self.steps) // 2)
         lengths = dict.fromkeys(max(3, self.before >> k) for k in range(6))
-        noises = [noise / self.slow**0.5 for noise in NOISES]
-        kept, best, least = source.training.select(~self.early), None, math.inf
-        chosen = model.memory, model.process_noise
-        for length, noise in (*((each, 0.0) for each in lengths), *((self.before, q) for q in noises if filtered)):
+        noises = [noise / self.slow**0.5 for noise in NOISES if filtered]
+        best, least, chosen = None, math.inf, (model.memory, model.process_noise)
+        for length, noise in (*((each, 0.0) for each in lengths), *((self.before, each) for each in noises)):
             with _attempt():
-                model.process_noise = noise
-                begin = starting_states(model, kept, self.starts, length, self.sensors)
+                model.memory, model.process_noise = length * self.kept.dt, noise
+                begin = self._starts(model, source)
                 errors = self._errors_from(model, source, begin, count)
                 cost = self.score(errors) if filtered else float(errors.clamp_max(1e9).log().nanmean())
                 if cost < least:
-                    best, least, chosen = begin, cost, (length * kept.dt, noise)
+                    best, least, chosen = begin, cost, (model.memory, noise)
         model.memory, model.process_noise = chosen
         if best is None:
             return torch.full_like(self.simple, math.inf)
         return self._errors_from(model, source, best, len(self.steps))
 
-    def errors_as_told(self, model: SindyModel, source: Source) -> Tensor:
-        """Return the errors of a model over each horizon, `(H, n_x)`, that starts as its memory and its noise say."""
+    def errors_by_memory(self, model: SindyModel, source: Source) -> Tensor:
+        """Return the errors over each horizon, `(H, n_x)`, of a model whose memory and process noise are chosen."""
+        return self._errors_from(model, source, self._starts(model, source), len(self.steps))
+
+    def _starts(self, model: SindyModel, source: Source) -> Tensor:
+        """Return the states, `(S, n_x)`, that a model estimates with its memory and its process noise."""
         kept = source.training.select(~self.early)
-        begin = starting_states(model, kept, self.starts, max(1, round(model.memory / kept.dt)), self.sensors)
-        return self._errors_from(model, source, begin, len(self.steps))
+        return starting_states(model, kept, self.starts, max(1, round(model.memory / kept.dt)), self.sensors)
 
     def _errors_from(self, model: SindyModel, source: Source, begin: Tensor, count: int) -> Tensor:
         """Return errors over the first horizons from states on, `(count, n_x)`."""
@@ -655,9 +657,8 @@ class _Search:
             with _attempt():
                 attempt(until)
         if any(each in self.tried[known:] for each in self._near()):
-            self._try_larger_libraries(
-                [min(self.tried[known:], key=lambda each: each.score)]
-            )  # longer windows cost more
+            # Functions first, as longer windows cost more.
+            self._try_larger_libraries([min(self.tried[known:], key=lambda each: each.score)])
             self._windows_of_leaders([each for each in self._near() if each in self.tried[known:]])
             if until == self.until:  # else lag states come before
                 self._try_larger_libraries(self._near())
@@ -682,9 +683,8 @@ class _Search:
         early = [of.source.training.select(fold.fit_rows()) for fold in self.folds]
         for state in sorted(signature.state_names, key=lambda name: -behind[name]):
             if behind[state] > 0:
-                chains = (
-                    chain_candidates(*each, state, signature.state_names) for each in zip(of.models, early, strict=True)
-                )
+                parts = zip(of.models, early, strict=True)
+                chains = (chain_candidates(*each, state, signature.state_names) for each in parts)
                 self._ever_more_states(f"{of.what}, {state} with", chains, measured, until)
 
     def _try_state_space(self, until: float) -> None:
@@ -879,7 +879,7 @@ class _Search:
         for fold, each, _ in list(zip(self.folds, best.models, best.errors, strict=False))[1:]:
             each.memory, each.process_noise = model.memory, model.process_noise
             with _attempt():
-                errors.append(fold.errors_as_told(each, best.source))
+                errors.append(fold.errors_by_memory(each, best.source))
         best = replace(best, errors=errors)
         seconds = self.folds[0].steps[-1] * data.dt
         findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), what=best.what, seconds=seconds)]

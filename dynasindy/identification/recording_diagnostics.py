@@ -79,7 +79,10 @@ def repetition(data: Transitions) -> float | None:
     apart = (energy[begins + length] - energy[begins] + energy[count] - energy[start] - 2 * product) / length
     share = (apart / allowed.numpy()).max(1)[::-1]  # by how long before
     again = np.flatnonzero((share <= 1) & (np.maximum.accumulate(share) > APART))
-    return None if not len(again) else (int(again[0]) + int(share[again[0] :][:FEWEST].argmin())) * data.dt
+    if not len(again):
+        return None
+    first = again[again == again[0] + np.arange(len(again))]
+    return int(first[share[first].argmin()]) * data.dt
 
 
 def resolutions(data: Transitions, model: SindyModel | None = None) -> Tensor:

@@ -298,8 +298,8 @@ class GradientPlanning(Planner):
             # As long as those of the first phase: what it has not reached, the few updates of a later one do not.
             # Targets come before margins, and so do bounds, which weaker inputs may not be able to keep.
             self.margin_cost = None
-            weights, varied = copy.deepcopy(self.network.state_dict()), (rows.strength, rows.late)
             if leaving:
+                weights, varied = copy.deepcopy(self.network.state_dict()), (rows.strength, rows.late)
                 rows.strength = rows.late = None
                 for each in episodes:
                     each.vary(None)

@@ -119,7 +119,7 @@ def addresses(*tensors: Tensor | None) -> list[ctypes.c_void_p | None]:
     return [None if tensor is None else ctypes.c_void_p(tensor.data_ptr()) for tensor in tensors]
 
 
-def find_library(source: str, without: str, fast: bool = True) -> ctypes.CDLL | None:
+def find_library(source: str, without: str, *, fast: bool = True) -> ctypes.CDLL | None:
     """Return what `load_library` does; None where there is no compiler or, with a warning, one that refuses the text.
 
     Args:
