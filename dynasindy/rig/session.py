@@ -18,20 +18,19 @@ from pydantic import create_model
 from dynasindy import workbench
 from dynasindy.control import Controller, save
 from dynasindy.control.controller import NAME
-from dynasindy.envs import Excitation, Step
-from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.envs import Excitation
 from dynasindy.identification.identify import LoggedData, identify
 from dynasindy.identification.source import Source
 from dynasindy.planning import GradientPlanning
 from dynasindy.rig.base import Array, Rig, RigClock, Wiring
 from dynasindy.rig.flight import ROUNDING, FlightResult, Guard, run_flight
-from dynasindy.rig.log import LAST, FlightRecord, Log
+from dynasindy.rig.log import FlightRecord, Log
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.named_libraries import LibraryBuilder
-from dynasindy.systems import Diverged, Signature
+from dynasindy.systems import Signature
 from dynasindy.systems.base import WHOLE
 from dynasindy.systems.transitions import Transitions
-from dynasindy.text import did_you_mean, unit_suffix
+from dynasindy.text import did_you_mean
 
 Tell = Callable[[str], None]
 WARM = 3
@@ -114,8 +113,6 @@ class Session:
         clock: Tells the time and waits.
         flights: What came of each flight, by the name of its log.
         shown: What the flights of controllers show, by the name of their logs.
-        model: What was identified last; None before.
-        learnt: The controller that was planned on it; None before.
     """
 
     rig: Rig
@@ -126,8 +123,6 @@ class Session:
     clock: RigClock = time
     flights: dict[str, FlightResult] = field(default_factory=dict)
     shown: dict[str, FlightRecord] = field(default_factory=dict)
-    model: SindyModel | None = None
-    learnt: Controller | None = None
 
     @property
     def failed(self) -> bool:
@@ -170,11 +165,7 @@ class Session:
         self._tell_inputs(self.wiring.signature)
 
         name = f"excitation_{len(before)}" if before else "excitation"
-        flown = self._fly(name, lambda y, t: levels[round(t / self.wiring.dt)], len(levels))
-        if flown.fault is not None and flown.fault.kind == "range":
-            half = ",".join(f"{value:.3g}" for value in (0.5 * signal.amplitude.abs()).tolist())
-            self.tell(f"  it moved too far: excite it half as much by plant.amplitude=[{half}], or allow a wider range")
-        return flown
+        return self._fly(name, lambda y, t: levels[round(t / self.wiring.dt)], len(levels))
 
     def logs(self, kind: str) -> dict[Path, int]:
         """Return the logs in the folder, in the order in which they were flown, each with its number of rows.
@@ -214,7 +205,6 @@ class Session:
         for each in model.findings:
             self.tell(f"  {each.line()}")
         model.save(self.folder / "model.json")
-        self.model = model
         for equation in model.equations():
             self.tell(f"  {equation}")
         self.tell("planning while the rig rests")
@@ -222,7 +212,6 @@ class Session:
             model, knowledge.targets, log, dt=self.wiring.dt, seed=seed, **dict(knowledge.planning)
         )
         save(controller, self.folder / NAME)
-        self.learnt = controller
         return controller
 
     def run_flight(self, controller: Controller, targets: Sequence[Sequence[float]], seconds: float) -> FlightResult:
@@ -248,8 +237,6 @@ class Session:
             raise ValueError(
                 f"-1 and 1 are {_ends(mine)} on the rig, {_ends(theirs)} for the controller; give the same"
             )
-        if self.model is not None and controller is self.learnt:  # nobody knows the model of one that was given
-            self.tell(f"  {_forecast_flight(controller, self.model, targets, seconds)}")
         self._tell_inputs(theirs)
         names = mine.state_names
 
@@ -317,24 +304,3 @@ class Session:
 def _ends(signature: Signature) -> str:
     ends = signature.input_ends or (WHOLE,) * signature.n_u
     return ", ".join(f"{low:g} and {high:g}" for low, high in ends)
-
-
-def _forecast_flight(
-    controller: Controller, model: SindyModel, targets: Sequence[Sequence[float]], seconds: float
-) -> str:
-    """Say how near a model comes to each target; where it cannot be simulated, say why, as the flight goes on."""
-    try:
-        scenario = Scenario("flight", Step(targets), len(targets), seconds)
-        flight = workbench.forecast(controller, model, None, scenario).evaluation
-    except (ValueError, RuntimeError, Diverged) as error:
-        why = " ".join(str(error).split())
-        return (
-            "prediction: there is none of this flight, as the model could not be simulated "
-            f"({type(error).__name__}{why and f': {why}'}); the flight goes on without it"
-        )
-    if flight is None:
-        return "prediction: on the model this flight runs away"
-    apart = (flight.outputs.double() - torch.tensor(np.array(targets, dtype=float)).unsqueeze(1)).abs()
-    errors = apart[:, round((1 - LAST) * apart.shape[1]) :].mean((0, 1)).tolist()
-    told = [f"{n} to {e:.3g}{unit_suffix(unit)}" for (n, unit), e in zip(flight.units.items(), errors, strict=True)]
-    return f"prediction of the model, mean error over the last half of each target: {', '.join(told)}"

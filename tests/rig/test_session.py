@@ -10,17 +10,16 @@ import pytest
 import torch
 from far_end import FarEnd
 from fast_clock import FastClock
-from tensordict.nn import TensorDictModule
 
 from dynasindy import Controller
 from dynasindy.agents.networks import actor
 from dynasindy.control.controller import ControlSetup
 from dynasindy.envs import Multisine, RandomStep, Sensors, Tracking, TrackingReward
 from dynasindy.rig import Guard, UdpRig, Wiring
-from dynasindy.rig.session import Knowledge, Session, _forecast_flight
+from dynasindy.rig.session import Knowledge, Session
 from dynasindy.rig.simulated import SimulatedRig
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import BlackBox, Diverged, Pendulum, Signature
+from dynasindy.systems import BlackBox, Pendulum
 
 COUNT = 2 * np.pi / 4096
 KNOWLEDGE = Knowledge(
@@ -81,7 +80,7 @@ def test_a_fault_is_kept_and_told(session):
     session.tell, session.guard = told.append, Guard(low={"theta": -1.0}, high={"theta": 0.05}, late=100.0)
     session.excite(Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0))
     assert session.failed
-    assert "ended" in told[-2] and "plant.amplitude=[0.4], or allow" in told[-1]
+    assert "ended" in told[-1]
     with (session.folder / "excitation.csv").open() as file:
         rows = list(csv.reader(file))[1:]
     assert max(float(row[1]) for row in rows) <= 0.05
@@ -226,39 +225,6 @@ def test_a_controller_in_other_units_is_refused_before_anything_moves(session, m
     assert not session.flights
 
 
-@pytest.mark.parametrize(
-    ("error", "why"),
-    [
-        (ValueError("two\nlines"), r"\(ValueError: two lines\)"),
-        (RuntimeError(), r"\(RuntimeError\)"),
-        (Diverged("it runs away"), r"\(Diverged: it runs away\)"),
-    ],
-)
-def test_a_flight_goes_on_where_its_prediction_fails(tmp_path, monkeypatch, error, why):
-    session, told = failing_forecast(tmp_path, monkeypatch, error)
-    flown = session.run_flight(session.learnt, [[0.1]], 0.2)
-    assert flown.fault is None and flown.periods == 4
-    (said,) = [line for line in told if "prediction" in line]
-    assert re.search(why, said) and "\n" not in said
-
-
-def failing_forecast(tmp_path, monkeypatch, error):
-    """Return a session with a controller whose prediction fails, and the list of what it says."""
-    signature, told = Signature(("y",), ("m",), ("u",), (1.0,)), []
-    model = SindyModel(signature, ["y", "u"])
-    model.set_coefficients(torch.tensor([[-2.0], [2.0]]))
-    rig = SimulatedRig(model, clock=FastClock())
-    session = Session(rig, Wiring(signature, (True,), 0.05), Guard(), tmp_path, told.append, rig.clock, model=model)
-    task = Tracking(signature, RandomStep([0.0], [1.0]), ("y",), (), TrackingReward((1.0,)))
-    session.learnt = Controller(actor(task.n_o, 1, (4,)), ControlSetup(task, 0.05))
-
-    def failing(*_):
-        raise error
-
-    monkeypatch.setattr("dynasindy.workbench.forecast", failing)
-    return session, told
-
-
 def test_a_rig_is_moved_little_at_first(tmp_path):
     session, _ = blind(tmp_path)
     signal = Multisine(1, duration=3, dt=0.05, amplitude=0.4, offset=0.1, seed=0, first=0.1)
@@ -266,24 +232,3 @@ def test_a_rig_is_moved_little_at_first(tmp_path):
     sent = np.genfromtxt(tmp_path / "excitation.csv", delimiter=",", skip_header=1)[:60, 2]  # time, angle, input
     share = np.minimum(1.0, 0.1 * 2 ** (np.arange(60) / 10))
     np.testing.assert_allclose(sent, 0.1 + share * (signal.samples().numpy()[:, 0] - 0.1), atol=1e-6)
-
-
-DT = 0.05
-
-
-def flown(decay, targets):
-    """Fly y' = decay y + 2 u under u = r."""
-    signature = Signature(("y",), ("m",), ("u",), (1.0,))
-    model = SindyModel(signature, ["y", "u"])
-    model.set_coefficients(torch.tensor([[decay], [2.0]]))
-    task = Tracking(signature, RandomStep([0.0], [1.0]), ("y",), (), TrackingReward((1.0,)))
-    policy = TensorDictModule(lambda params: params[..., 0, :1].float(), ["task_params"], ["action"])
-    return _forecast_flight(Controller(policy, ControlSetup(task, DT)), model, [[target] for target in targets], 2.0)
-
-
-def test_the_error_is_that_of_the_last_half_of_each_step():
-    """Of y' = 2 (u - y) under u = r, a step from zero to r leaves r exp(-2 t); targets of 0.5 and 0.25 m, 2 s each."""
-    targets = (0.5, 0.25)
-    said = flown(-2.0, targets)
-    left = np.mean(targets) * np.exp(-2 * DT * np.arange(40))
-    assert float(re.search(r"y to (\S+) m$", said)[1]) == pytest.approx(left[20:].mean(), rel=0.005)
