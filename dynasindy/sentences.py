@@ -539,8 +539,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.input_ends": "input {input} was given low {low:g} and high {high:g}, its column goes from {least:.6g} to "
     "{most:.6g} after scaling; allowed are ends that hold all of it: give low, high and scale of one unit",
     "log.rate_units": _rate_units,
-    "log.target_degrees": "the targets of {state} from {low:g} to {high:g} rad look like degrees, as the log goes to "
-    "{reach:.3g} rad only: give {radians:and} in <plant.low> and <plant.high>, or unit: deg in <data.states>",
     # the fit
     "fit.identifiability": _identifiability,
     "fit.standard_errors": "coefficients{of_step:?of the change over a step} are known within {median:.2g} % of "

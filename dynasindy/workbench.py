@@ -56,7 +56,6 @@ from dynasindy.identification.recording_diagnostics import (
     sensor_resolution,
 )
 from dynasindy.identification.source import Source, rates_of
-from dynasindy.identification.targets import require_radians
 from dynasindy.identification.verdict import (
     dry_friction,
     inputs_beyond_log,
@@ -137,8 +136,6 @@ def plan(
     require_controlled(model, task.output_names)
     if log is not None:
         log = log.with_states_of(model)
-        if task.ends is not None:
-            require_radians(log, dict(zip(task.output_names, zip(*task.ends, strict=True), strict=True)))
     task = as_planned(task, model, log)
     dt = dt or suited_period(model, task, log)[0]
     # A motion that is fast against the period, as that of a current, makes longer steps of the observer unstable.

@@ -34,7 +34,7 @@ from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, note, records
 from dynasindy.identification.recording_diagnostics import low_signal_findings
 from dynasindy.identification.source import PERIOD, Source, closest_period, rates_of
-from dynasindy.identification.targets import require_radians, targets_like
+from dynasindy.identification.targets import targets_like
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.gradient_planning import ACCEPTABLE_ERROR
 from dynasindy.progress import say
@@ -173,9 +173,7 @@ def prepare(cfg: DictConfig) -> tuple[dict[str, Any], Source | None, dict[str, A
     parts["task"](signature=model.signature)
     if source is None:
         return planning, None, parts, []
-    ends = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
-    others = [i for i, name in enumerate(source.signature.state_names) if name not in ends]
-    require_radians(source, ends)
+    others = [i for i, name in enumerate(source.signature.state_names) if name not in cfg.plant.outputs]
     return planning, source, parts, low_signal_findings(source.training, source.signature, others)
 
 

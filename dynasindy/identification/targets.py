@@ -9,7 +9,6 @@ from itertools import combinations
 import torch
 from torch.quasirandom import SobolEngine
 
-from dynasindy.findings import LogError
 from dynasindy.identification.source import Source
 from dynasindy.identification.verdict import logged_input_ranges
 from dynasindy.sindy import SindyModel
@@ -20,8 +19,6 @@ INNER = 0.1
 """Part of the samples beyond either end of the targets: the plant was at all of them, for some time."""
 DIGITS = 2
 """Digits of the extent of the targets that are kept."""
-DEGREE = math.pi / 180
-"""A degree [rad]."""
 CHOICES = 8
 """Sets of outputs that are tried, to find one that can be held."""
 POINTS = 32
@@ -32,8 +29,6 @@ ENOUGH = 0.9
 """Part of a range that is left where it is drawn in though targets at its ends are held."""
 LEAST = 0.1
 """Part of where the log was below which targets that are held are the one place where the plant rests by itself."""
-FAR, NEAR = 5.0, 3.0
-"""Targets this many times as far as the log went are in another unit, if in degrees they are not beyond the latter."""
 
 
 def targets_like(
@@ -122,30 +117,6 @@ def _held_within(
         room = torch.zeros_like(low) if drawn_in else (1 - ENOUGH) * (most - least) / 2
         low, high = least + room, most - room
     return None
-
-
-def require_radians(source: Source, targets: Mapping[str, Sequence[float]]) -> None:
-    """Refuse targets in degrees of an angle that is in radians.
-
-    They are such where they lie beyond half a turn and many times as far as the log went, and as degrees within what
-    it saw, or nearly so. Within half a turn radians may well be meant, of a log that hardly moved the angle.
-
-    Args:
-        source: The log.
-        targets: Lower and upper end of the targets of each output.
-
-    Raises:
-        LogError: Targets of an output are in degrees.
-    """
-    signature = source.signature
-    for name, ends in targets.items():
-        if name not in signature.state_names or signature.state_units[signature.state_index(name)] != "rad":
-            continue
-        seen = source.training.x[:, signature.state_index(name)]
-        reach, asked = float(seen.abs().nan_to_num(nan=0.0).max()), max(map(abs, ends))
-        if 0 < FAR * reach < asked and asked > math.pi and asked * DEGREE < NEAR * reach:
-            facts = {"state": name, "low": ends[0], "high": ends[1], "reach": reach}
-            raise LogError("log.target_degrees", **facts, radians=[f"{end * DEGREE:.4g}" for end in ends])
 
 
 def _short(value: float, extent: float) -> str:

@@ -6,9 +6,8 @@ import pytest
 import torch
 
 from dynasindy.data.recording import Recording
-from dynasindy.findings import LogError
 from dynasindy.identification.source import Source
-from dynasindy.identification.targets import require_radians, targets_like
+from dynasindy.identification.targets import targets_like
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -38,32 +37,6 @@ def test_what_was_given_stays(source):
     assert targets_like(source, ["w"], given) == {"high": ["20.90"]}
     assert targets_like(source, [], {**given, "high": [21.0]}) == {}
     assert targets_like(source, [], {**NONE, "outputs": ["h"]}) == {}  # of what nobody measured nothing is known
-
-
-def swung(reach, unit="rad"):
-    """A log of an angle that went so far to both sides."""
-    x = reach * torch.sin(0.1 * torch.arange(101.0)).unsqueeze(-1)
-    data = Transitions.from_trajectory(x, torch.zeros(100, 1), 0.1)
-    return Source.of(Recording(data, Signature(("angle",), (unit,), ("u",), (1.0,))))
-
-
-def test_targets_in_degrees_of_an_angle_in_radians_are_refused_with_those_in_radians():
-    with pytest.raises(LogError) as error:
-        require_radians(swung(0.9), {"angle": (-60, 60)})
-    told = error.value.finding
-    assert told.code == "log.target_degrees" and told.values["radians"] == ["-1.047", "1.047"]
-
-
-@pytest.mark.parametrize(
-    ("reach", "unit", "ends"),
-    [
-        *((0.9, "rad", (-1.2, 1.2)), (60.0, "deg", (-60, 60)), (0.9, "rad", (0, 3.14)), (0.0, "rad", (-60, 60))),
-        *((0.04, "rad", (-0.5, 0.5)), (0.08, "rad", (0, 3.14))),
-    ],
-)
-def test_targets_that_may_be_meant_as_they_are_stay(reach, unit, ends):
-    """Half a turn is 3.14 rad; a log that hardly moved its angle does not make degrees of half a radian."""
-    require_radians(swung(reach, unit), {"angle": ends, "other": (-60, 60)})
 
 
 def logged(columns, units):
