@@ -34,12 +34,10 @@ from dynasindy.data.headings import NAME, find_names, in_radians, is_rate_of, na
 from dynasindy.data.rates import ALIKE, RPM, compare_rate, require_consistent_rates
 from dynasindy.data.table import Table, correct_map
 from dynasindy.findings import Finding, LogError, note, weak
-from dynasindy.sentences import lines as lines_of
 from dynasindy.sentences import setting
 from dynasindy.systems.actuator_scaling import PLAIN, ActuatorScaling, actuator_units
 from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.text import format_duration
 
 Array = NDArray[np.float64]
 ROUNDED = 1e-3
@@ -79,14 +77,6 @@ class Recording:
     transitions: Transitions
     signature: Signature
     findings: tuple[Finding, ...] = ()
-
-    def __repr__(self) -> str:
-        data, signature = self.transitions, self.signature
-        states, stretches = signature.headings(signature.state_names), len(data.segment.unique())
-        many = f" in {stretches} stretches" if stretches > 1 else ""
-        length, step = format_duration(len(data) * data.dt), format_duration(data.dt)
-        head = f"Recording of {len(data)} rows, {length} every {step}{many}: states {', '.join(states)}"
-        return "\n".join([f"{head}; inputs {', '.join(signature.input_names)}", *lines_of(self.findings)])
 
 
 class _Part(NamedTuple):

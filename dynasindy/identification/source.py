@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from dynasindy.findings import Finding, note, weak
-from dynasindy.sentences import setting
+from dynasindy.sentences import lines, setting
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.lag_states import widened
 from dynasindy.sindy.reconstruction import rate_states, reconstruct
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
+from dynasindy.text import format_duration
 
 if TYPE_CHECKING:
     from dynasindy.data.recording import Recording
@@ -86,11 +87,13 @@ class Source:
 
     def __repr__(self) -> str:
         """Say in a few lines what it holds."""
-        from dynasindy.data.recording import Recording  # which imports pandas, that only logs need
-
-        text = repr(Recording(self.training, self.signature, self.findings))
-        head, *rest = text.replace("Recording of", "Data of", 1).split("\n")
-        return "\n".join([f"{head}; {len(self.validation)} rows more to judge on", *rest])
+        data, signature = self.training, self.signature
+        states, stretches = signature.headings(signature.state_names), len(data.segment.unique())
+        many = f" in {stretches} stretches" if stretches > 1 else ""
+        length, step = format_duration(len(data) * data.dt), format_duration(data.dt)
+        head = f"Data of {len(data)} rows, {length} every {step}{many}: states {', '.join(states)}; inputs "
+        judged = f"; {len(self.validation)} rows more to judge on"
+        return "\n".join([f"{head}{', '.join(signature.input_names)}{judged}", *lines(self.findings)])
 
     def with_rates(self, known: Mapping[str, str]) -> Source:
         """Return the data with the rates that are known to belong to a state and were not logged.
