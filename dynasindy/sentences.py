@@ -474,8 +474,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.resampled": "{count} of {total} sampling times are not {dt:g} s; states were resampled by splines, inputs, "
     "taken as held, by means. If only the times were written late, give a counter as the time and {dt:data.dt}",
     "log.stop": "{count:# sample|# samples} with {state} at {value:g}, a stop or saturation, {count:was|were} masked",
-    "log.followed": "{columns:list} move in steps that another column follows, and are left out as references; if they "
-    "are states, give {states:data.states}",
     "log.held_states": "{states:list} stand still in most rows, as commands do, sensors that failed, and samples "
     "that are repeated; name commands in <data.inputs>, and write repeated samples as empty cells",
     "log.guessed_inputs": "taken as input: {inputs:list}, {named:by name, as others follow|by steps where all others "
