@@ -93,11 +93,12 @@ def _check_sweep(config: DictConfig) -> None:
     elif shared and None not in map(config.get, ("system", "task")):
         instantiate(config.task, _convert_="all")(signature=instantiate(config.system, _convert_="all").signature)
     if "level" in config:
-        from dynasindy.evaluation.ablation import read_tables
+        from dynasindy.evaluation.ablation import CURVES, TABLE, read_ablation
 
         instantiate(config.level)
         require_writable(Path(config.results))
-        read_tables(Path(config.results))  # one that is damaged is told now, and not after hours of runs
+        for name in (TABLE, CURVES):  # one that is damaged is told now, and not after hours of runs
+            read_ablation(Path(config.results) / name)
 
 
 def end_sweep(config: DictConfig, began: float) -> None:

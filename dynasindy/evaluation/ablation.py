@@ -22,15 +22,7 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor
 
 from dynasindy.limits import Positive
-from dynasindy.safe_io import (
-    DamagedFileError,
-    checked_class,
-    escape_markdown,
-    read_json,
-    read_rows,
-    reading,
-    write_text,
-)
+from dynasindy.safe_io import checked_class, escape_markdown, read_json, read_rows, reading, write_text
 from dynasindy.text import format_duration
 
 KEY = ["system", "experiment", "setting"]
@@ -95,7 +87,7 @@ def gather(root: Path, results: Path, level: Level) -> pd.DataFrame:
     runs = [_read_run(file.parent, root, level) for file in sorted(root.rglob("metrics.json"))]
     if not runs:
         return pd.DataFrame()
-    before, curves_before = read_tables(results)
+    before, curves_before = (read_ablation(results / name) for name in (TABLE, CURVES))
     rows = _merged(before, pd.DataFrame([row for row, _ in runs]))
     with reading(results / TABLE):
         text = to_markdown(rows, level)
@@ -103,21 +95,6 @@ def gather(root: Path, results: Path, level: Level) -> pd.DataFrame:
     _write(results / TABLE, rows)
     write_text(results / "ablation.md", text)
     return rows
-
-
-def read_tables(results: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return `ablation.csv` and `ablation_curves.csv`, without rows where there is no such file.
-
-    Raises:
-        DamagedFileError: One of them cannot be read; the message says how it can be made anew.
-    """
-    try:
-        return read_ablation(results / TABLE), read_ablation(results / CURVES)
-    except DamagedFileError as error:
-        raise DamagedFileError(
-            f"{error}. To make it again, move it to another place and give the same command: finished runs are not "
-            "repeated, and their rows are written anew"
-        ) from error
 
 
 def read_ablation(path: Path, key: Sequence[str] = KEY) -> pd.DataFrame:
@@ -171,10 +148,9 @@ def to_markdown(rows: pd.DataFrame, level: Level) -> str:
 
 
 def _cell(values: pd.Series[float]) -> str:
-    """Return a figure over seeds; a run that never reached the level counts as infinite."""
     if values.name in (ERROR, SHARE) and values.isna().all():
         return ""  # it is measured by the other one
-    return _over_seeds((values * (100 if values.name == SHARE else 1)).fillna(math.inf).tolist(), 4, "never")
+    return _over_seeds((values * (100 if values.name == SHARE else 1)).tolist(), 4, "never")
 
 
 def _read_run(folder: Path, root: Path, level: Level) -> tuple[dict[str, Any], pd.DataFrame]:
@@ -324,8 +300,8 @@ def _figure(runs: pd.DataFrame, name: str, with_unit: bool) -> str:
     if isinstance(values[0], bool):
         return f"{sum(values)} of {len(values)}"
     if not isinstance(values[0], list):
-        return _finite(values)
-    cells = " / ".join(_finite(axis) for axis in zip(*values, strict=True))
+        return _over_seeds(values)
+    cells = " / ".join(_over_seeds(axis) for axis in zip(*values, strict=True))
     return cells + (runs["unit"].iloc[0] if with_unit else "")
 
 
@@ -344,17 +320,14 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     )
 
 
-def _over_seeds(values: Sequence[float], digits: int = 3, infinite: str = "inf") -> str:
+def _over_seeds(values: Sequence[float | None], digits: int = 3, infinite: str = "not finite") -> str:
     """Return the interquartile mean over seeds and the 95 % interval of its bootstrap, `middle [low, high]`.
 
-    Fewer than three seeds give no interval: each stands for itself, `first, second`.
-
-    Args:
-        values: A number per seed; it may be infinite.
-        digits: Significant digits.
-        infinite: Word for infinity.
+    Fewer than three seeds give no interval: each stands for itself, `first, second`. What is no finite number counts as
+    infinite, as to leave it out would flatter the setting.
     """
-    scores = torch.tensor(list(values), dtype=torch.float64).nan_to_num(posinf=HUGE)
+    scores = torch.tensor([math.nan if value is None else value for value in values], dtype=torch.float64)
+    scores = scores.nan_to_num(HUGE, HUGE, HUGE)
     if len(scores) < FEWEST:
         return ", ".join(_short(score, digits, infinite) for score in scores.tolist())
     numbers = (interquartile_mean(scores), *bootstrap_interval(scores))
@@ -367,10 +340,3 @@ def _short(value: float, digits: int, infinite: str) -> str:
         return infinite
     # What rounds up to a power of ten would be written as 1e+03.
     return f"{value:.0f}" if abs(value) >= 10**digits - 0.5 else f"{value:.{digits}g}"
-
-
-def _finite(values: Sequence[float | None]) -> str:
-    """Return the figure over seeds, or how many runs have no number: leaving them out would flatter the setting."""
-    found = [value for value in values if value is not None and math.isfinite(value)]
-    missing = len(values) - len(found)
-    return f"not finite in {missing} of {len(values)}" if missing else _over_seeds(found)

@@ -94,7 +94,6 @@ def test_a_table_that_cannot_be_read_is_told_and_no_file_changes(tmp_path, name,
     with pytest.raises(DamagedFileError) as told:
         gather(tmp_path / "two", tmp_path, LEVEL)
     assert str(tmp_path / name) in str(told.value) and why in str(told.value)
-    assert "place" in str(told.value)
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir() if file.is_file()} == before
     (tmp_path / name).rename(tmp_path / "moved")
     assert "b" in set(gather(tmp_path / "two", tmp_path, LEVEL)["setting"])
@@ -238,7 +237,7 @@ def test_plans_from_logs_have_a_table_of_what_is_predicted(tmp_path):
         record = {"seed": seed, "prediction": {"controlled": seed == 0, "flights": flights}}
         (run / "metrics.json").write_text(json.dumps(record))
     (row,) = rows_of(tmp_path)
-    assert row == "| `default` | 2 | 1 of 2 | not finite in 1 of 2 |"
+    assert row == "| `default` | 2 | 1 of 2 | 50, not finite |"
     (run / "report.txt").write_text("y' = -y")  # a fit by identify.py, which is no row
     write(tmp_path, "2_on=plant", 4.0)  # which has a table of its own
     assert [row for row in rows_of(tmp_path) if "| 1 of 1 | 50 |" in row]
