@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,14 +14,13 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike
 
 from dynasindy.evaluation import ablation
 from dynasindy.safe_io import file_name
 from dynasindy.viz import style
 
-Curves = Mapping[str, ArrayLike]
-"""`(n_seeds, n_episodes)` values after each episode, per setting."""
+Curves = Mapping[str, pd.DataFrame]
+"""Values by seed, in rows, and episode, in columns, per setting."""
 LINEAR = 10.0
 """Returns within this of zero are drawn on a linear part of a logarithmic axis."""
 WIDE = 30.0
@@ -32,23 +32,22 @@ OF_RANGE = "% of the target range"
 
 
 @style.styled
-def average_rewards(curves: Curves, episode: ArrayLike, title: str = "Average rewards") -> Figure:
+def average_rewards(curves: Curves, title: str = "Average rewards") -> Figure:
     """Draw interquartile mean and 95 % bootstrap band over seeds of the return, one line per setting.
 
     The axis is logarithmic, and linear within 10 of zero, if returns differ by more than a factor of `WIDE`.
 
     Args:
-        curves: `(n_seeds, n_episodes)` return of each episode, per setting.
-        episode: `(n_episodes,)` numbers of the episodes.
+        curves: Returns by seed and episode, per setting.
         title: of the figure.
     """
     figure, (axis,) = style.panels(1, 1, (8.5, 3.8), title)
-    size = np.abs(np.concatenate([style.array(values).ravel() for values in curves.values()]))
+    size = np.abs(np.concatenate([values.to_numpy().ravel() for values in curves.values()]))
     size = np.maximum(size[np.isfinite(size)], LINEAR)
     logarithmic = bool(size.max(initial=0.0) > WIDE * size.min(initial=np.inf))
     if logarithmic:
         axis.set_yscale("symlog", linthresh=LINEAR)
-    _draw_bands(axis, curves, episode)
+    _draw_bands(axis, curves)
     style.legend(axis)
     axis.set_ylabel(f"return, logarithmic beyond {LINEAR:g} [-]" if logarithmic else "return [-]")
     return figure
@@ -75,27 +74,26 @@ def draw_ablation(results: Path, level: ablation.Level) -> list[Path]:
         common = set.intersection(*(set(each[1:]) for each in words))
         lines = group.assign(setting=[",".join(word for word in each if word not in common) for each in words])
         shares = ablation.SHARE in lines and bool(lines[ablation.SHARE].notna().all())
-        errors = _curves(lines, 100 * lines[ablation.SHARE] if shares else ablation.worst_errors(lines))
+        errors = curves_of(lines, 100 * lines[ablation.SHARE] if shares else ablation.worst_errors(lines))
         few = [name for name in errors if re.fullmatch(r"rollouts_\d+", name)] if len(errors) > MOST_NAMED else []
         chosen = {name: style.controller_name(name) for name in few or errors}
         returns, errors = (
             {words: curves[name] for name, words in chosen.items()}
-            for curves in (_curves(lines, lines["evaluated_return"]), errors)
+            for curves in (curves_of(lines, lines["evaluated_return"]), errors)
         )
         judged = (100 * level.share, OF_RANGE) if shares else (level.error, "rad")
-        episodes = sorted(lines["episode"].unique())
         figures = {
-            "average_rewards": average_rewards(returns, episodes, f"Imagined rollouts: average rewards, {title}"),
-            "steady_state_error": _draw_errors(errors, episodes, *judged, f"Steady-state error, {title}"),
+            "average_rewards": average_rewards(returns, f"Imagined rollouts: average rewards, {title}"),
+            "steady_state_error": _draw_errors(errors, *judged, f"Steady-state error, {title}"),
         }
         files += style.save_figures({f"{name}_{case}": figure for name, figure in figures.items()}, results)
     return files
 
 
 @style.styled
-def _draw_errors(curves: Curves, episode: ArrayLike, level: float, unit: str, title: str) -> Figure:
+def _draw_errors(curves: Curves, level: float, unit: str, title: str) -> Figure:
     figure, (axis,) = style.panels(1, 1, (8.5, 3.8), title)
-    _draw_bands(axis, curves, episode)
+    _draw_bands(axis, curves)
     axis.axhline(level, color=style.BLACK, linestyle="--", linewidth=0.9, label=f"required: at most {level:g} {unit}")
     axis.set_yscale("log")
     style.legend(axis)
@@ -105,12 +103,10 @@ def _draw_errors(curves: Curves, episode: ArrayLike, level: float, unit: str, ti
     return figure
 
 
-def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike) -> None:
+def _draw_bands(axis: Axes, curves: Curves) -> None:
     """Draw interquartile mean and 95 % bootstrap band over seeds per setting, or each of fewer than three seeds."""
-    seeds = {name: np.atleast_2d(style.array(values)) for name, values in curves.items()}
-    episodes = style.array(episode)[: max((rows.shape[1] for rows in seeds.values()), default=0)]
-    for (name, rows), line in zip(seeds.items(), style.line_styles(curves).values(), strict=True):
-        x = episodes[: rows.shape[1]]
+    for (name, values), line in zip(curves.items(), style.line_styles(curves).values(), strict=True):
+        x, rows = style.array(values.columns), values.to_numpy()
         words = name.replace("$", r"\$")  # names of settings are no mathematics
         label = f"{words} ({len(rows)} seed{'s' * (len(rows) > 1)})"
         # A line through a single episode would not be seen.
@@ -125,21 +121,21 @@ def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike) -> None:
         axis.fill_between(x, low.numpy(), high.numpy(), color=line["color"], alpha=0.2, linewidth=0, label=f"_{label}")
         if len(x) == 1:
             axis.vlines(x, low.numpy(), high.numpy(), color=line["color"], alpha=0.3, linewidth=7)
-    counts = [len(rows) for rows in seeds.values()]
+    counts = [len(rows) for rows in curves.values()]
     if max(counts, default=0) >= ablation.FEWEST:
         words = f"; each seed where there are fewer than {ablation.FEWEST}" if min(counts) < ablation.FEWEST else ""
         axis.plot([], [], color=style.GREY, label=f"line: interquartile mean over seeds{words}")
         axis.plot([], [], color=style.GREY, alpha=0.3, linewidth=7, label="band: its 95 % bootstrap interval")
-    room = 0.02 * (episodes[-1] - episodes[0]) + 1e-3
-    axis.set_xlim(episodes[0] - room, episodes[-1] + room)
+    episodes = [*itertools.chain(*curves.values())]
+    room = 0.02 * (max(episodes) - min(episodes)) + 1e-3
+    axis.set_xlim(min(episodes) - room, max(episodes) + room)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_xlabel("real episode")
 
 
-def _curves(rows: pd.DataFrame, values: pd.Series[float]) -> dict[str, style.Array]:
-    """Return `(n_seeds, n_episodes)` values per setting, over the episodes that all its seeds have."""
-    curves = {}
-    for setting, group in rows.assign(value=values).groupby("setting", sort=False):
-        seeds = [of["value"].to_numpy() for _, of in group.groupby("seed", sort=False)]
-        curves[str(setting)] = np.array([seed[: min(map(len, seeds))] for seed in seeds])
-    return curves
+def curves_of(rows: pd.DataFrame, values: pd.Series[float]) -> dict[str, pd.DataFrame]:
+    """Return values by seed and episode per setting, of the episodes that all its seeds have."""
+    groups = rows.assign(value=values).groupby("setting", sort=False)
+    return {
+        str(name): group.pivot(index="seed", columns="episode", values="value").dropna(axis=1) for name, group in groups
+    }

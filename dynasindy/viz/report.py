@@ -30,7 +30,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.systems.xi import Xi
 from dynasindy.viz.identification import BEYOND, prediction, training_data
-from dynasindy.viz.learning import average_rewards
+from dynasindy.viz.learning import average_rewards, curves_of
 from dynasindy.viz.response import tracking
 from dynasindy.viz.run import gate, periods, read_table
 from dynasindy.viz.style import Array, array, controller_name, save_figures
@@ -302,20 +302,17 @@ def _rewards(results: Results, plant: str, experiment: str) -> _Made:
     rows = rows[rows["setting"].isin([*SETTINGS])]
     if rows.empty or runs.empty:
         raise FileNotFoundError(f"{CURVES} has no row of {plant}, {experiment}")
-    seeds = {
-        name: rows[rows["setting"] == name].pivot(index="seed", columns="episode", values="evaluated_return")
-        for name in rows["setting"].unique()
-    }
+    seeds = curves_of(rows, rows["evaluated_return"])
     # What not every seed of every setting was evaluated after is not comparable.
-    episodes = sorted(set.intersection(*(set(each.dropna(axis=1)) for each in seeds.values())))
-    curves = {SETTINGS[name]: each[episodes].to_numpy(copy=True) for name, each in seeds.items()}
+    episodes = sorted(set.intersection(*map(set, seeds.values())))
+    curves = {SETTINGS[name]: each[episodes] for name, each in seeds.items()}
     to_level = {}  # of other agents without a model, too, all of which planning has to be ahead of
     for name in (*seeds, *(each for each in MODEL_FREE if each in runs["setting"].unique())):
         own = runs[runs["setting"] == name]
         lengths = " or ".join(f"{length:g}" for length in own["episodes"].unique())
         words = SETTINGS.get(name) or f"{controller_name(name)} ({lengths} episodes)"
         to_level[words] = own["episodes_to_level"].fillna(np.inf).tolist()
-    mean = {name: _middle(returns.T) for name, returns in curves.items()}
+    mean = {name: _middle(returns.to_numpy().T) for name, returns in curves.items()}
     early = {name: float(values[: max(1, int(EARLY * len(values)))].mean()) for name, values in mean.items()}
     level = {name: float(_middle(values)) for name, values in to_level.items()}
     planned = [name for name in (SOME, MANY) if name in mean]
@@ -335,7 +332,7 @@ def _rewards(results: Results, plant: str, experiment: str) -> _Made:
     caption = f"Returns on `{plant}`, `{experiment}`, up to {episodes[-1]:g} real episodes: `{CURVES}`, made by "
     caption += f"`{command}` at commit {commits}."
     title = f"Dyna-style vs. direct TD3, average rewards: plant {plant}, experiment {experiment}"
-    yield _Picture(f"average_rewards_{plant}_{experiment}", average_rewards(curves, episodes, title), caption)
+    yield _Picture(f"average_rewards_{plant}_{experiment}", average_rewards(curves, title), caption)
 
 
 def _steps(results: Results, plant: str, experiment: str) -> _Made:

@@ -23,7 +23,7 @@ def test_learning_curve_draws_episodes_their_moving_mean_and_evaluations() -> No
 
 def test_average_rewards_draw_the_interquartile_mean_within_its_band() -> None:
     one = np.array([[0.0], [10.0], [20.0], [1000.0]]) + np.zeros((4, 6))
-    (axis,) = average_rewards({"wild": one, "calm": np.ones((3, 6))}, range(1, 7)).axes
+    (axis,) = average_rewards({"wild": pd.DataFrame(one), "calm": pd.DataFrame(np.ones((3, 6)))}).axes
     np.testing.assert_allclose(axis.lines[0].get_ydata(), 15.0)
     low, high = (f(axis.collections[0].get_paths()[0].vertices[:, 1]) for f in (np.min, np.max))
     assert 0 <= low <= 15 <= high <= 1000
@@ -31,7 +31,9 @@ def test_average_rewards_draw_the_interquartile_mean_within_its_band() -> None:
 
 
 def test_a_logarithmic_axis_is_for_returns_that_differ_much() -> None:
-    scales = [average_rewards({"a": [[low, -1000.0]]}, [1, 2]).axes[0].get_yscale() for low in (-100.0, -20.0, 5.0)]
+    scales = [
+        average_rewards({"a": pd.DataFrame([[low, -1000.0]])}).axes[0].get_yscale() for low in (-100.0, -20.0, 5.0)
+    ]
     assert scales == ["linear", "symlog", "symlog"]
 
 
