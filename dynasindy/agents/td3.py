@@ -17,7 +17,6 @@ Source: Fujimoto, van Hoof, Meger, "Addressing Function Approximation Error in A
 import copy
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
 import torch
@@ -33,7 +32,7 @@ from torchrl.objectives import SoftUpdate
 
 from dynasindy.agents.loss import GradientSteps, MachineSteps, TD3Loss
 from dynasindy.agents.networks import MLP, actor
-from dynasindy.limits import Positive, check_memory
+from dynasindy.limits import Positive
 from dynasindy.safe_io import checked_class
 from dynasindy.systems import Diverged
 from dynasindy.systems.compiler import c_text, find_library
@@ -180,11 +179,6 @@ class TD3:
         **settings: Annotated[Any, Hyperparameters],
     ) -> None:
         self.settings = s = Hyperparameters(**settings)
-        widths = [n_obs + n_u, *s.hidden, n_u]
-        check_memory(  # weights, targets, gradients and both moments of Adam, in float32
-            20.0 * (1 + s.critics) * sum(float(a) * b for a, b in pairwise(widths)),
-            f"agent.hidden={list(s.hidden)}, critics={s.critics}",
-        )
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.policy = actor(n_obs, n_u, s.hidden).to(device)

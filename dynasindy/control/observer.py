@@ -114,12 +114,6 @@ class Observer:
         return self.sensors.delay + LONGEST + 2
 
     @property
-    def width(self) -> int:
-        """Numbers of float32 size that a control period of a rollout takes up for the observer."""
-        n, n_u = len(self.scale), len(self.model.signature.input_names)
-        return 2 * (2 * (n * n + 2 * n + n_u + self.sensors.delay * n) + self.memory * n_u)
-
-    @property
     def learnt(self) -> bool:
         """Whether it relies on the model."""
         return self.nis is not None

@@ -13,7 +13,6 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from dynasindy.limits import check_memory
 from dynasindy.safe_io import checked
 from dynasindy.sentences import setting
 
@@ -77,7 +76,6 @@ class Excitation(TensorDictModuleBase, ABC):
                 f"longer, or lower {setting('env.dt')}"
             )
         self.n_u, self.duration, self.dt = n_u, float(duration), float(dt)
-        self._check_size(self.dt, 1)
         self.register_buffer("amplitude", _per_input(amplitude, n_u, "amplitude"))
         self.register_buffer("offset", _per_input(offset, n_u, "offset"))
         if not bool(self.amplitude.any()) or bool((self.offset.abs() + self.amplitude.abs() > 1 + 1e-6).any()):
@@ -113,15 +111,9 @@ class Excitation(TensorDictModuleBase, ABC):
         """
         return (self.first * 2.0 ** (steps.double() / 10)).clamp_max(1.0)
 
-    def _check_size(self, step: float, parts: int) -> None:
-        """Refuse an experiment of more steps [s], each of so many parts, than fit into memory."""
-        size = 64.0 * self.n_u * parts * self.duration / step
-        check_memory(size, f"excitation.duration={self.duration:g} s in steps of {step:g} s, {parts} values each,")
-
     def samples(self, dt: float | None = None) -> Tensor:
         """Give the inputs of the whole experiment, `(N, n_u)` float64, sampled every `dt` [s] (default: `self.dt`)."""
         step = self.dt if dt is None else dt
-        self._check_size(step, 1)
         return self.signal(torch.arange(round(self.duration / step), dtype=torch.float64) * step)
 
 
@@ -182,7 +174,6 @@ class Multisine(Excitation):
         super().__init__(n_u, **common)
         if harmonics < 1:
             raise ValueError(f"the signal got {harmonics} harmonics; allowed are 1 or more: 8 suits 10 s")
-        self._check_size(min(self.dt, self.duration / 4096), harmonics)
         i = torch.arange(1, harmonics + 1, dtype=torch.float64)
         self.numbers = (i.unsqueeze(-1) - 1) * n_u + torch.arange(1, n_u + 1, dtype=torch.float64)
         generator = torch.Generator().manual_seed(self.seed)
@@ -214,7 +205,6 @@ class Aprbs(Excitation):
                 f"excitation.duration={self.duration:g} s: correct it, for one level identifies nothing"
             )
         self.hold = float(hold)
-        self._check_size(self.hold, 1)
         generator = torch.Generator().manual_seed(self.seed)
         count = int(self.duration / self.hold) + 3
         self.levels = 2 * torch.rand(count, n_u, generator=generator, dtype=torch.float64) - 1

@@ -29,7 +29,7 @@ from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, Summary, steady_seconds, tracking_metrics
 from dynasindy.findings import Finding, note, weak
-from dynasindy.limits import Positive, check_memory
+from dynasindy.limits import Positive
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import checked_class, file_name, write_csv, write_json
 from dynasindy.systems import Signature, System
@@ -411,7 +411,7 @@ def evaluate(
             reward that is not finite. A plant that runs away is left at the end of `FARTHEST` ranges.
     """
     scenario = replace(scenario, seconds=scenario.length(env) if seconds is None else seconds)
-    calm, task = _prepare(env, scenario, 0 if observer is None else observer.width)
+    calm, task = _prepare(env, scenario)
     wrapped = policy if observer is None else acting(policy, calm, bool(observer.pushed))
     sensing, sensors = None, None if observer is None else observer.sensors
     disturbing: list[object] = [scenario.plant(calm.system)] if scenario.plant else []
@@ -446,7 +446,7 @@ def evaluate(
     return Evaluation(scenario.name, signature, columns, time, trajectory, metrics, windows, extents, words, ends)
 
 
-def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEnv, Task]:
+def _prepare(env: ControlEnv, scenario: Scenario) -> tuple[ControlEnv, Task]:
     """Return the undisturbed environment, with the scenario's reference and length, and its task."""
     task = copy.copy(env.task)
     if scenario.reference is not None:
@@ -455,12 +455,7 @@ def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEn
                 f"task {type(task).__name__} tracks no reference; give scenario=task, or scenario.reference=null"
             )
         task = task.with_reference(scenario.reference)
-    task.max_steps, n_x = round(scenario.length(env) / env.dt), env.system.signature.n_x
-    check_memory(
-        4.0 * scenario.episodes * task.max_steps * (2 * task.n_o + (2 + env.substeps) * n_x + width),
-        f"scenario.episodes={scenario.episodes} of {task.max_steps * env.dt:g} s (scenario.seconds) in periods of "
-        f"{env.dt} s",
-    )
+    task.max_steps = round(scenario.length(env) / env.dt)
     calm = env.with_task(task, seed=scenario.seed)
     calm.left_beyond = FARTHEST
     return calm, task
