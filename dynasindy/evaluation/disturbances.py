@@ -6,7 +6,7 @@ how much noisier the sensors are.
 """
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from tensordict import TensorDictBase
@@ -49,10 +49,8 @@ class PerturbedPlant(Altered):
         input_gain: Sequence[float] | None = None,
     ) -> None:
         super().__init__(system)
-        for key, values, default in (("push", push or {}, 0.0), ("gain", gain or {}, 1.0)):
-            _require_names(system.signature, values, key)
-            row = [values.get(name, default) for name in system.signature.state_names]
-            self.register_buffer(key, torch.tensor(row, dtype=torch.float64))
+        self.register_buffer("push", _by_state(system.signature, push or {}, 0.0, "push"))
+        self.register_buffer("gain", _by_state(system.signature, gain or {}, 1.0, "gain"))
         n_u = system.signature.n_u
         input_gain = [1.0] * n_u if input_gain is None else list(input_gain)
         if len(input_gain) != n_u:
@@ -103,11 +101,9 @@ class SensorNoise:
         sensors: Mapping[str, Channel | Mapping[str, float]] | None = None,
     ) -> None:
         signature = env.system.signature
-        _require_names(signature, std or {}, "std")
-        if not all(value >= 0 for value in (std or {}).values()):
-            raise ValueError(f"the scenario's std is {dict(std or {})}; give numbers of 0 or more")
-        self.policy, self.env = policy, env
-        self.std = torch.tensor([(std or {}).get(name, 0.0) for name in signature.state_names])
+        self.policy, self.env, self.std = policy, env, _by_state(signature, std or {}, 0.0, "std").float()
+        if bool((self.std < 0).any()):
+            raise ValueError(f"the scenario's std is {std}; give numbers of 0 or more")
         if std is None:
             scale = torch.tensor(signature.x_scale, dtype=torch.float64)
             known = Sensors(sensors).variance(signature).sqrt() if sensors else torch.zeros_like(scale)
@@ -157,11 +153,8 @@ class DelayedActuator:
         return f"inputs late by {periods}, {self.periods * self.dt:g} s"
 
 
-def _require_names(signature: Signature, values: Iterable[str], key: str) -> None:
-    """Refuse a disturbance of another plant, with what to do about it."""
-    if absent := [name for name in values if name not in signature.state_names]:
-        raise ValueError(
-            f"the scenario's {key} is of {', '.join(absent)}, and the states of this plant are "
-            f"{', '.join(signature.state_names)}; copy its file from conf/scenario to FOLDER/scenario/NAME.yaml, write "
-            "states of this plant into it, and give --config-dir FOLDER 'scenarios=[NAME]'"
-        )
+def _by_state(signature: Signature, values: Mapping[str, float], default: float, key: str) -> Tensor:
+    row = torch.full((signature.n_x,), default, dtype=torch.float64)
+    for name, value in values.items():
+        row[signature.state_index(name, f"the scenario's {key}")] = value
+    return row
