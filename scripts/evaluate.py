@@ -20,7 +20,6 @@ def main(cfg: Any) -> None:
     from dynasindy.safe_io import output_folder
     from dynasindy.sentences import lines
     from dynasindy.sindy import SindyModel
-    from dynasindy.systems.equilibria import states_that_matter
     from dynasindy.viz.animation import animate
     from dynasindy.viz.response import draw_evaluation
     from dynasindy.viz.style import name_by_planning
@@ -43,9 +42,8 @@ def main(cfg: Any) -> None:
             animate(result, out / f"{scenario.name}.gif")
         table = to_text(result.summary(), result.title, result.state_units, result.told_steady_seconds, width())
         say(table, *lines(result.beyond_targets), "")
-        matter = states_that_matter(system, result.columns, result.trajectory["state"][0, 0])
         rerun = partial(evaluate, env, policy, scenario, observer) if env.system.known else None
-        _, verdict = judge_control([judge_tracking(result, matter, rerun)], within)
+        _, verdict = judge_control([judge_tracking(result, system, rerun)], within)
         verdicts.append(f"  {scenario.name}: {verdict}")
     say("Verdict, against the error that was asked for:", *verdicts, f"Figures, tables and trajectories: {out}")
 

@@ -32,7 +32,6 @@ from dynasindy.progress import report_progress
 from dynasindy.safe_io import replace_file, write_csv, write_json, write_text
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.delay import delay_inputs
-from dynasindy.systems.equilibria import states_that_matter
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
 
@@ -212,8 +211,7 @@ class Recorder(Callback):
             save(loop[0], self.folder / NAME)
         known = plant.system.known  # another simulator, or a rig, does not run for longer than was asked for
         system = plant.system if known else self.parts.model_env.system
-        matter = states_that_matter(system, final.columns, final.trajectory["state"][0, 0])
-        held = asdict(judge_tracking(final, matter, self.evaluate if known else None))  # which may take longer runs
+        held = asdict(judge_tracking(final, system, self.evaluate if known else None))  # which may take longer runs
         metrics = {
             **settings,
             "episodes": len(self.rows),

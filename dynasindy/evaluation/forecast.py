@@ -19,7 +19,6 @@ from dynasindy.evaluation.tracking_criteria import WITHIN, TrackingCriteria, jud
 from dynasindy.findings import Finding, note, records, weak, wrong
 from dynasindy.sentences import gravest_first
 from dynasindy.systems import Diverged, System
-from dynasindy.systems.equilibria import states_that_matter
 
 PARTS, SURE = 10, 2.0
 """Parts of a log by which the mean square of its pushes is known, and standard errors that it may be larger."""
@@ -75,31 +74,28 @@ class Forecast:
             pushes: What moves the models besides, see `ControlEnv.pushes`; nothing if omitted. All models but the first
                 get pushes as large as they may be in the long run.
         """
-        flights: list[TrackingCriteria | None] = []
-        shown: Evaluation | None = None
-        result: Evaluation | None
-        flight: TrackingCriteria | None
-        for k, model in enumerate(models):
-            env = plan.with_system(model, torch.float64)
+
+        def _fly(k: int, model: System) -> tuple[Evaluation | None, TrackingCriteria | None]:
+            env, phase = plan.with_system(model, torch.float64), f"flights on model {k + 1} of {len(models)}"
             env.delay = float(getattr(model, "delay", 0.0))
-            result, flight = None, None
             fly = partial(evaluate, env, policy, scenario, observer)
             with suppress(Diverged):
-                result = fly(f"flights on model {k + 1} of {len(models)}")
+                result = fly(phase)
+                if bool(result.lost.any()):
+                    return None, None
+                flight = judge_tracking(result, model, fly)
+                if pushes is None:
+                    return result, flight
+                # Whether states come to rest, flights without pushes tell.
+                env.pushes = pushes if k == 0 else pushes * _growth(pushes)
+                result = fly(f"{phase}, pushed as in the log")
                 if not bool(result.lost.any()):
-                    start = result.trajectory["state"][0, 0]
-                    flight = judge_tracking(result, states_that_matter(model, result.columns, start), fly)
-                if flight is not None and pushes is not None:
-                    # Whether states come to rest, flights without pushes tell.
-                    calm, flight = flight, None
-                    env.pushes = pushes if k == 0 else pushes * _growth(pushes)
-                    result = fly(f"flights on model {k + 1} of {len(models)}, pushed as in the log")
-                    if not bool(result.lost.any()):
-                        pushed = judge_tracking(result, torch.zeros(model.signature.n_x, dtype=torch.bool))
-                        flight = replace(calm, share=pushed.share, worst=pushed.worst)
-            flights.append(flight)
-            shown = shown if shown or flight is None else result
-        return cls(tuple(flights), shown, within=within, seconds=scenario.length(plan))
+                    pushed = judge_tracking(result, model)
+                    return result, replace(flight, share=pushed.share, worst=pushed.worst)
+            return None, None
+
+        results, flights = zip(*(_fly(k, model) for k, model in enumerate(models)), strict=True)
+        return cls(flights, next(filter(None, results), None), within=within, seconds=scenario.length(plan))
 
     def __repr__(self) -> str:
         kept = f"promised={self.promised}, controlled={self.controlled}, {len(self.flights)} models"

@@ -13,8 +13,9 @@ from torch import Tensor
 
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.findings import Finding, note, wrong
-from dynasindy.systems import Diverged
+from dynasindy.systems import Diverged, System
 from dynasindy.systems.base import turn_of
+from dynasindy.systems.equilibria import states_that_matter
 
 FAR = 20.0
 """Ranges from where it began at which a state has run away, whatever the reference does."""
@@ -65,13 +66,13 @@ class TrackingCriteria:
 
 
 def judge_tracking(
-    evaluation: Evaluation, matter: Tensor, rerun: Callable[[str, float], Evaluation] | None = None
+    evaluation: Evaluation, system: System, rerun: Callable[[str, float], Evaluation] | None = None
 ) -> TrackingCriteria:
     """Judge the final part of an evaluation.
 
     Args:
         evaluation: Runs of a policy.
-        matter: States that are tracked or that a rate of change depends on, bool `(n_x,)`.
+        system: The plant, or a model of it, whose equations say which states matter.
         rerun: Makes the same runs in another length [s], of which it gets the phase in words, too. By them swings that
             die away are known; if it is omitted, or fails, as where memory is short, all swings count alike.
     """
@@ -82,6 +83,7 @@ def judge_tracking(
         errors = errors / spans.clamp(1 / LOST, 1.0)  # the limit is never less than that of a target at rest
     scale = torch.tensor(evaluation.signature.x_scale, dtype=torch.float64)
     states = evaluation.trajectory["state"].double()
+    matter = states_that_matter(system, evaluation.columns, states[0, 0])
     x = states[:, -last:] / scale
     far = ~((x - states[:, :1] / scale).abs() <= FAR).all(1)
     lost = far.clone()

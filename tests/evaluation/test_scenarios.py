@@ -195,7 +195,7 @@ def test_of_an_angle_that_goes_over_many_turns_errors_are_shares_of_one_turn() -
         result = evaluate(env, hang, Scenario("hang", Step([[0.02 * math.pi]]), seconds=1.0))
         assert result.boxes == (pytest.approx(box),)
         assert result.errors[0, -1, 0].item() == pytest.approx(0.02 * math.pi / box)
-        found = judge_tracking(result, torch.tensor([True, True]))
+        found = judge_tracking(result, system)
         assert found.turned == (["theta"] if box > 6 else [])
         told = Forecast((found,), result).summary()
         assert ("of a turn" in told) is (box > 6)

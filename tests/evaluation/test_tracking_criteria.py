@@ -10,10 +10,24 @@ from tensordict import TensorDict
 
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.evaluation.tracking_criteria import TrackingCriteria, judge_control, judge_tracking
-from dynasindy.systems import Diverged, Signature
+from dynasindy.systems import Diverged, Signature, System
 
 SIGNATURE = Signature(("p", "theta", "way"), ("m", "rad", "m"), ("u",), (1.0, 0.5, 10.0))
 TIME = torch.arange(0, 20, 0.05)
+
+
+class Plant(System):
+    """A plant whose rates depend on some of its states."""
+
+    def __init__(self, *matter):
+        super().__init__(SIGNATURE)
+        self.matter = torch.tensor(matter)
+
+    def forward(self, x, u):
+        return (self.matter * x).sum(-1, keepdim=True).expand_as(x)
+
+
+PLANT = Plant(1.0, 1.0, 0.0)
 
 
 def evaluation(x, r=None):
@@ -29,7 +43,7 @@ def states(p=0.0, theta=0.0, way=0.0):
 
 
 def judge(x, r=None):
-    return judge_tracking(evaluation(x, r), torch.tensor([True, True, False]))
+    return judge_tracking(evaluation(x, r), PLANT)
 
 
 def test_errors_are_those_of_the_last_seconds_in_boxes():
@@ -56,7 +70,7 @@ def test_a_state_that_swings_has_not_come_to_rest():
 
 def test_the_rate_of_what_does_not_come_to_rest_is_found_in_its_motion():
     def rates(x):
-        return judge_tracking(evaluation(x), torch.tensor([True, True, True])).rates
+        return judge_tracking(evaluation(x), Plant(1.0, 1.0, 1.0)).rates
 
     angle, rate = 0.3 * torch.sin(3 * TIME) + 0.1, 0.9 * torch.cos(3 * TIME)
     assert rates(states(theta=angle, way=10 * rate)) == []  # ten times as fast
@@ -84,9 +98,6 @@ def ringing(damping, half=math.inf, amplitude=0.2, period=6.0):
     return rerun("", 20.0), rerun
 
 
-MATTER = torch.tensor([True, True, False])
-
-
 @pytest.mark.parametrize(
     ("damping", "half", "decaying"),
     [
@@ -101,9 +112,9 @@ MATTER = torch.tensor([True, True, False])
 )
 def test_a_state_whose_swings_die_away_rings_and_is_not_restless(damping, half, decaying):
     short, rerun = ringing(damping, half)
-    found = judge_tracking(short, MATTER, rerun)
+    found = judge_tracking(short, PLANT, rerun)
     assert bool(found.ringing) == decaying and bool(found.away) == bool(found.swings) == (not decaying)
-    assert judge_tracking(short, MATTER).away == {"theta": 1.0}  # as no longer run says more
+    assert judge_tracking(short, PLANT).away == {"theta": 1.0}  # as no longer run says more
 
 
 @pytest.mark.parametrize("error", [Diverged, ValueError, MemoryError, RuntimeError])
@@ -111,7 +122,7 @@ def test_a_longer_run_that_fails_says_nothing(error):
     def rerun(phase, seconds):
         raise error("of five times the length")
 
-    assert judge_tracking(ringing(0.02)[0], MATTER, rerun).away == {"theta": 1.0}
+    assert judge_tracking(ringing(0.02)[0], PLANT, rerun).away == {"theta": 1.0}
 
 
 @pytest.mark.parametrize(("late", "share"), [(1.0, 0.0), (4.0, 0.35)])  # 2.33 s of 3.33 s, 2 m of 4 m
@@ -147,9 +158,7 @@ def test_a_target_at_rest_is_held_to_its_own_limit_beside_a_wave():
     x = states(p=wave, theta=0.36).expand(2, -1, 3).double()
     r = torch.stack([wave, 0.0 * wave], -1).expand(2, -1, 2).double()
     trajectory = TensorDict({"state": x, "reference": r}, [2, len(TIME)])
-    found = judge_tracking(
-        Evaluation("both", SIGNATURE, (0, 1), TIME, trajectory, {}, (), (4.0, 4.0)), torch.tensor([True, True, False])
-    )
+    found = judge_tracking(Evaluation("both", SIGNATURE, (0, 1), TIME, trajectory, {}, (), (4.0, 4.0)), PLANT)
     assert found.share["theta"] == pytest.approx(0.09) and judge_control([found], 0.01)[0] is False
 
 
@@ -159,7 +168,7 @@ def test_a_state_runs_away_from_where_it_began_and_not_from_zero():
 
 
 def test_what_is_not_finite_is_lost():
-    found = judge(states(p=torch.inf, theta=torch.nan))
+    found = judge(states(*(torch.where(TIME > 1.0, lost, 0.0) for lost in (torch.inf, torch.nan))))
     assert found.share == {"p": None} and found.away == {"theta": 1.0}
 
 
@@ -167,7 +176,7 @@ def test_where_nothing_is_tracked_motion_is_no_fault_and_running_away_is():
     x = torch.stack([states(theta=0.2 * torch.sin(3 * TIME)), states(p=3.0 * TIME)]).double()
     trajectory = TensorDict({"state": x, "reference": torch.zeros(2, len(TIME), 0)}, [2, len(TIME)])
     untracked = Evaluation("task", SIGNATURE, (), TIME, trajectory, {})
-    found = judge_tracking(untracked, torch.tensor([True, True, False]))
+    found = judge_tracking(untracked, PLANT)
     assert found == TrackingCriteria({}, {}, {"p": 0.5}, {})
 
 
