@@ -106,7 +106,7 @@ def _draw_errors(curves: Curves, level: float, unit: str, title: str) -> Figure:
 def _draw_bands(axis: Axes, curves: Curves) -> None:
     """Draw interquartile mean and 95 % bootstrap band over seeds per setting, or each of fewer than three seeds."""
     for (name, values), line in zip(curves.items(), style.line_styles(curves).values(), strict=True):
-        x, rows = style.array(values.columns), values.to_numpy()
+        x, rows = style.array(values.columns), values.to_numpy(copy=True)
         words = name.replace("$", r"\$")  # names of settings are no mathematics
         label = f"{words} ({len(rows)} seed{'s' * (len(rows) > 1)})"
         # A line through a single episode would not be seen.

@@ -312,7 +312,7 @@ def _rewards(results: Results, plant: str, experiment: str) -> _Made:
         lengths = " or ".join(f"{length:g}" for length in own["episodes"].unique())
         words = SETTINGS.get(name) or f"{controller_name(name)} ({lengths} episodes)"
         to_level[words] = own["episodes_to_level"].fillna(np.inf).tolist()
-    mean = {name: _middle(returns.to_numpy().T) for name, returns in curves.items()}
+    mean = {name: _middle(returns.to_numpy(copy=True).T) for name, returns in curves.items()}
     early = {name: float(values[: max(1, int(EARLY * len(values)))].mean()) for name, values in mean.items()}
     level = {name: float(_middle(values)) for name, values in to_level.items()}
     planned = [name for name in (SOME, MANY) if name in mean]

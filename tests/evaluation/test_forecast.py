@@ -8,7 +8,7 @@ from plants import Plant
 
 from dynasindy.dyna.recorder import judge_run
 from dynasindy.envs import ControlEnv, Step, Tracking, TrackingReward
-from dynasindy.evaluation import forecast as module
+from dynasindy.evaluation import tracking_criteria as module
 from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.tracking_criteria import TrackingCriteria
@@ -152,6 +152,7 @@ def test_a_doubt_breaks_a_promise():
 def test_what_has_to_come_to_rest_is_asked_where_a_flight_begins(monkeypatch):
     plant, asked = Pendulum(), []
     env = ControlEnv(plant, angle_task(Step([[0.3]]), start={"theta": -0.2}))
-    monkeypatch.setattr(module, "states_that_matter", lambda model, columns, start: asked.append(start) or [0, 1])
+    every = torch.ones(2, dtype=torch.bool)
+    monkeypatch.setattr(module, "states_that_matter", lambda model, columns, start: asked.append(start) or every)
     Forecast.of([plant], env, constant(0.0), Scenario("step", seconds=1.0))
     assert len(asked) == 1 and asked[0].tolist() == pytest.approx([-0.2, 0.0], abs=1e-6)
