@@ -16,7 +16,6 @@ from dynasindy.control.controller import Policy
 from dynasindy.envs import Channel, ControlEnv, Sensors
 from dynasindy.limits import Count
 from dynasindy.systems import Altered, Signature, System
-from dynasindy.text import unit_suffix
 
 SHARE = 1e-3
 """Noise of a state of whose sensor nothing is known [ranges of the state]."""
@@ -60,17 +59,6 @@ class PerturbedPlant(Altered):
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
         return self.gain.to(x) * self.system(x, self.input_gain.to(u) * u) + self.push.to(x)
-
-    def summary(self) -> str:
-        """Say how large the push is, and which factors are not 1."""
-        names, units = self.signature.state_names, self.signature.state_units
-        rates = [f"{u}^2" if u.endswith("/s") else "1/s" if u == "-" else f"{u}/s" for u in units]
-        pushes = [f"{p:g} {unit} on {n}" for n, p, unit in zip(names, self.push.tolist(), rates, strict=True) if p]
-        of = [*(f"{name}'" for name in names), *self.signature.input_names]
-        factors = zip(of, [*self.gain.tolist(), *self.input_gain.tolist()], strict=True)
-        changes = [f"{name} times {value:g}" for name, value in factors if value != 1]
-        said = [f"pushed by {', '.join(pushes)}"] * bool(pushes) + [f"detuned: {', '.join(changes)}"] * bool(changes)
-        return "; ".join(said) or "not disturbed"
 
 
 class SensorNoise:
@@ -118,13 +106,6 @@ class SensorNoise:
         seen["observation"] = self.env.task.observation(measured, tensordict["task_params"], t.to(x)).float()
         return tensordict.set("action", self.policy(seen)["action"])
 
-    def summary(self) -> str:
-        """Say how large the noise of each state is."""
-        signature = self.env.system.signature
-        rows = zip(signature.state_names, self.std.tolist(), signature.state_units, strict=True)
-        told = ", ".join(f"{name} {value:g}{unit_suffix(unit)}" for name, value, unit in rows if value)
-        return f"measured with white noise, standard deviation {told or 'nothing'}"
-
 
 class DelayedActuator:
     """A policy whose actions reach the plant some control periods late; until then the inputs are zero.
@@ -136,7 +117,7 @@ class DelayedActuator:
     """
 
     def __init__(self, policy: Policy, env: ControlEnv, periods: Count) -> None:
-        self.policy, self.periods, self.dt = policy, periods, env.dt
+        self.policy, self.periods = policy, periods
         self.waiting: deque[Tensor] = deque()
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -146,11 +127,6 @@ class DelayedActuator:
             self.waiting.extend(torch.zeros_like(action) for _ in range(self.periods))
         self.waiting.append(action)
         return tensordict.set("action", self.waiting.popleft())
-
-    def summary(self) -> str:
-        """Say how late the inputs are."""
-        periods = "1 control period" if self.periods == 1 else f"{self.periods} control periods"
-        return f"inputs late by {periods}, {self.periods * self.dt:g} s"
 
 
 def _by_state(signature: Signature, values: Mapping[str, float], default: float, key: str) -> Tensor:

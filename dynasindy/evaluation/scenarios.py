@@ -117,7 +117,6 @@ class Evaluation:
         metrics: Per row, see `dynasindy.evaluation.metrics`.
         windows: Times `(start, end)` at which the plant was disturbed [s], where that was not all the time.
         boxes: Extents of the outputs' targets, `(n_r,)`, of an angle one turn at most; one of each unit if empty.
-        disturbances: What disturbed it and by how much, in words.
         ends: Lower and upper end of the targets of each tracked state [its unit]; empty if no task tells them.
     """
 
@@ -129,7 +128,6 @@ class Evaluation:
     metrics: dict[str, Tensor]
     windows: tuple[Window, ...] = ()
     boxes: tuple[float, ...] = ()
-    disturbances: tuple[str, ...] = ()
     ends: tuple[tuple[float, float], ...] = ()
 
     @property
@@ -160,12 +158,9 @@ class Evaluation:
 
     @property
     def title(self) -> str:
-        """What a table of it was measured on; errors and returns compare at equal lengths only.
-
-        It says what disturbs the plant and by how much, when it does, and that steps are judged before.
-        """
+        """What a table of it was measured on; errors and returns compare at equal lengths only."""
         count, what = len(self.outputs), "reference" if self.columns else "episode"
-        facts = [f"{count} {what}{'s' * (count > 1)}", format_duration(self.seconds), *self.disturbances]
+        facts = [f"{count} {what}{'s' * (count > 1)}", format_duration(self.seconds)]
         facts += [
             f"disturbed from {format_duration(begin, end)} to {format_duration(end)}" for begin, end in self.windows
         ]
@@ -414,11 +409,9 @@ def evaluate(
     calm, task = _prepare(env, scenario)
     wrapped = policy if observer is None else acting(policy, calm, bool(observer.pushed))
     sensing, sensors = None, None if observer is None else observer.sensors
-    disturbing: list[object] = [scenario.plant(calm.system)] if scenario.plant else []
     noise = torch.zeros(env.system.signature.n_x, dtype=torch.float64)
     for wrap in scenario.wrappers:
         wrapped = wrap(wrapped, calm)
-        disturbing.append(wrapped)
         noise = wrapped.std if isinstance(wrapped, SensorNoise) else noise
         if sensors is not None and isinstance(wrapped, SensorNoise):  # of what the observer reads, which it knows not
             std = dict(zip(env.system.signature.state_names, wrapped.std.tolist(), strict=True))
@@ -430,7 +423,6 @@ def evaluate(
         start, noise = sensing.begin(start), sensors.variance(env.system.signature).sqrt()
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng():
         trajectory = _run(calm, wrapped, scenario, start, sensing, phase or f"policy in scenario '{scenario.name}'")
-    words = tuple(each.summary() for each in disturbing if hasattr(each, "summary"))
     # Root entries: state and reference at the moment an action is chosen, so that a step begins at time zero.
     time, signature = torch.arange(trajectory.shape[-1], dtype=torch.float64) * calm.dt, env.system.signature
     outputs = [signature.state_index(name) for name in task.output_names]
@@ -443,7 +435,7 @@ def evaluate(
     metrics = tracking_metrics(time, y, r, u, boxes, until, floor)
     ends = tuple(zip(*task.ends, strict=True)) if isinstance(task, Tracking) and task.ends else ()
     extents, columns = tuple(boxes.tolist()), tuple(outputs)
-    return Evaluation(scenario.name, signature, columns, time, trajectory, metrics, windows, extents, words, ends)
+    return Evaluation(scenario.name, signature, columns, time, trajectory, metrics, windows, extents, ends)
 
 
 def _prepare(env: ControlEnv, scenario: Scenario) -> tuple[ControlEnv, Task]:

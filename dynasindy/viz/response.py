@@ -131,8 +131,8 @@ def draw_evaluation(
 ) -> list[Path]:
     """Draw an evaluation into a folder, in files that begin with the scenario's name.
 
-    One episode is drawn over time and, of several ones, the spread of the error. Titles say which episode is shown,
-    what disturbed it, and where it was flown, unless on the plant.
+    One episode is drawn over time and, of several ones, the spread of the error. Titles say which episode is shown, and
+    where it was flown, unless on the plant.
 
     Args:
         evaluation: What to draw.
@@ -146,8 +146,7 @@ def draw_evaluation(
     """
     row, words = evaluation.representative_episode
     name, signature = evaluation.scenario, evaluation.signature
-    disturbed = (each.removeprefix(f"{name}: ") for each in evaluation.disturbances)  # which the name says already
-    scenario = "; ".join([f"Scenario '{name}'{place and f' {place}'}", *disturbed])
+    scenario = f"Scenario '{name}'{place and f' {place}'}"
     title = "\n".join(filter(None, [scenario, words]))
     states, following = evaluation.trajectory["state"], evaluation.trajectory["next", "state"]
     x = torch.cat([states[row], following[row, -1:]])  # and the state after the last period

@@ -43,8 +43,7 @@ def evaluate(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 def test_it_writes_tables_figures_and_an_animation(run_folder: Path, tmp_path: Path) -> None:
     done = evaluate(f"run={run_folder}", "scenarios=[delay]", "animate=true", "formats=[svg]", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    late = "inputs late by 2 control periods, 0.1 s"
-    assert f"Scenario 'delay' (64 references, 2 s, {late})" in done.stdout  # as long as those of the run
+    assert "Scenario 'delay' (64 references, 2 s)" in done.stdout  # as long as those of the run
     names = {path.name for path in (run_folder / "evaluation").iterdir()}
     assert names == {"delay.json", "delay.csv", "delay.svg", "delay_errors.svg", "delay.gif"}
     plain = json.loads((run_folder / "evaluation" / "delay.json").read_text())
