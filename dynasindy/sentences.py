@@ -264,8 +264,6 @@ def _tracked(
     ringing: Sequence[str],
     grew: bool | None = None,
     seconds: float | None = None,
-    rates: Sequence[str] = (),
-    targets: Mapping[str, Sequence[float]] | None = None,
     moving: bool = False,
 ) -> str:
     """Say how near a plant is held, and what becomes of states that are not tracked."""
@@ -289,13 +287,6 @@ def _tracked(
             parts.append(
                 f"not tracked, and {fate} in up to {_percent(max(shares.values()))} of the runs: {_few(shares)}"
             )
-    if targets:
-        low, high = ([*(ends[k] for ends in targets.values()), *(0.0 for _ in rates)] for k in (0, 1))
-        names = [*targets, *rates]
-        words = [setting("plant.outputs", names), setting("plant.low", low), setting("plant.high", high)]
-        if not _words_of_commands:
-            words = [setting("plan.task", dict(zip(names, zip(low, high, strict=True), strict=True)))]
-        parts += [f"it helps to track {' and '.join(rates)} as well, which are 0 at rest: {' '.join(words)}"]
     parts += [f"still ringing, decaying: {_few(ringing)}"] if ringing else []
     parts += [f"running on, which nothing depends on: {_few(idle)}"] if idle else []
     return "; ".join(parts)
