@@ -22,15 +22,14 @@ def main(cfg: Any) -> None:
     from dynasindy.sindy import SindyModel
     from dynasindy.viz.animation import animate
     from dynasindy.viz.response import draw_evaluation
-    from dynasindy.viz.style import name_by_planning
 
     folder = Path(cfg.run)
     config = load_config(folder, cfg.plugins)
     env, policy = load_policy(config, folder)
     observer = load_observer(config, folder, env)
-    name = name_by_planning(config.planning)
+    name = "policy"
     if cfg.integral:
-        policy, name = IntegralAction(policy, env), f"{name}, integral action"
+        policy, name = IntegralAction(policy, env), "policy, integral action"
     out = output_folder(folder, "evaluation_integral" if cfg.integral else "evaluation")
     within, verdicts = config.evaluation.get("within", WITHIN), []
     system = env.system if env.system.known else SindyModel.load(folder / "model.json")

@@ -41,7 +41,6 @@ from dynasindy.progress import say
 from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
 from dynasindy.sentences import command_word, lines
 from dynasindy.sindy import Oracle, SindyModel
-from dynasindy.viz.style import controller_name, name_by_planning
 from dynasindy.workbench import damped, forecast, log_report, model_of, plan, refit_shortage
 
 
@@ -84,7 +83,7 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
         return True
     from dynasindy.viz.run import draw_run  # Matplotlib, when there is something to draw
 
-    draw_run(folder, recipe.system.signature, tuple(cfg.get("formats", ("png",))), name_by_planning(cfg.planning))
+    draw_run(folder, recipe.system.signature, tuple(cfg.get("formats", ("png",))))
     say(run_report(metrics, folder))
     controlled = metrics["verdict"].get("controlled") is not False
     written = (folder / NAME).is_file()  # a task without targets leaves no controller to check or to export
@@ -224,7 +223,7 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
     if flown := prediction.evaluation:
         from dynasindy.viz.response import draw_evaluation
 
-        draw_evaluation(flown, figures, controller_name("gradient"), tuple(cfg.formats), prediction.place)
+        draw_evaluation(flown, figures, formats=tuple(cfg.formats), place=prediction.place)
     write_json(folder / "metrics.json", {"seed": cfg.seed, **metrics})  # last, for in a sweep it says that all is done
     say(log_report(model, prediction), *lines(thin), f"Controller: {folder / NAME}", *model.signature.own_inputs())
     if not swept:

@@ -38,16 +38,13 @@ def read_table(path: Path) -> pd.DataFrame:
     return read_ablation(path, ()).rename(columns=lambda name: name.partition(" [")[0])
 
 
-def draw_run(
-    folder: Path, signature: Signature, formats: tuple[str, ...] = ("png",), controller: str = "policy"
-) -> list[Path]:
+def draw_run(folder: Path, signature: Signature, formats: tuple[str, ...] = ("png",)) -> list[Path]:
     """Draw every figure whose data a run folder holds.
 
     Args:
         folder: Run folder.
         signature: Names and units of the plant.
         formats: File formats, e.g. ("png", "svg").
-        controller: What to call its controller.
 
     Returns:
         The files, in `folder/figures`.
@@ -81,7 +78,7 @@ def draw_run(
     reference = response[[f"reference_{name}" for name in tracked]] if tracked else None
     step = reference is not None and bool((reference == reference.iloc[0]).all(axis=None))
     title = f"{'Step response' if step else 'Response'}\n{which}".strip()  # which episode of how many it is
-    y, u = {controller: response[outputs]}, {controller: held[inputs]}
+    y, u = {"policy": response[outputs]}, {"policy": held[inputs]}
     figures["step_response"] = tracking(held["time"], reference, y, u, outputs, signature, title)
     return style.save_figures(figures, folder / "figures", formats)
 

@@ -274,18 +274,6 @@ def controller_name(setting: str) -> str:
     return f"{found[1]} rollouts" if found else setting if "," in setting else setting.replace("_", " ")
 
 
-def name_by_planning(planning: Mapping[str, Any]) -> str:
-    """Return the words for a controller by the settings of its planning, as a run's config has them.
-
-    Args:
-        planning: Its `_target_` and arguments, `rollouts` among them where rollouts are imagined.
-    """
-    kind = str(planning.get("_target_", "")).rpartition(".")[2]
-    if kind in ("NoPlanning", "ImaginedReplay"):
-        return controller_name(f"rollouts_{planning.get('rollouts') or 0}")
-    return controller_name({"GradientPlanning": "gradient"}.get(kind, "policy"))
-
-
 def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
     """Return colour and dashes per controller of a figure, by its setting or its words, as matplotlib takes them.
 

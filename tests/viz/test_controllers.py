@@ -1,6 +1,4 @@
-import pytest
-
-from dynasindy.viz.style import BLUE, CONTROLLERS, GREEN, RED, controller_name, line_styles, name_by_planning
+from dynasindy.viz.style import BLUE, CONTROLLERS, GREEN, RED, controller_name, line_styles
 
 
 def test_a_controller_looks_the_same_by_its_setting_and_by_its_words_in_every_company():
@@ -23,18 +21,3 @@ def test_names_are_words_and_unique():
     assert controller_name("horizon_20,agent.tau=0.1") == "horizon_20,agent.tau=0.1"
     words = [controller_name(setting) for setting in CONTROLLERS]
     assert len(set(words)) == len(words) and not any("_" in word for word in words)
-
-
-@pytest.mark.parametrize(
-    ("planning", "words"),
-    [
-        ({"_target_": "dynasindy.planning.GradientPlanning", "rollouts": 128}, "policy"),
-        ({"_target_": "dynasindy.planning.ImaginedReplay", "rollouts": 800}, "800 rollouts"),
-        ({"_target_": "dynasindy.planning.ImaginedReplay", "rollouts": 0}, "no planning"),
-        ({"_target_": "dynasindy.planning.NoPlanning"}, "no planning"),
-        ({"_target_": "mine.Planning"}, "policy"),
-        ({}, "policy"),
-    ],
-)
-def test_a_controller_of_a_run_has_the_name_that_it_has_elsewhere(planning, words):
-    assert name_by_planning(planning) == words
