@@ -208,14 +208,8 @@ def excite(
 
 def _rows(targets: Targets, outputs: Sequence[str]) -> list[list[float]]:
     """Return the targets of each run, in the order of the outputs."""
-    if isinstance(targets, Mapping) and {*targets} != {*outputs}:
-        hints = (did_you_mean(name, outputs) for name in targets if name not in outputs)
-        raise ValueError(
-            f"targets are of {', '.join(map(str, targets)) or 'nothing'}; give where each of {', '.join(outputs)} is "
-            f"to be{next(hints, '')}"
-        )
     with suppress(TypeError, ValueError):  # lists of different lengths, or no numbers
-        if isinstance(targets, Mapping):
+        if isinstance(targets, Mapping) and {*targets} == {*outputs}:
             targets = np.stack(np.broadcast_arrays(*(targets[name] for name in outputs)), -1)
         rows = np.atleast_2d(np.asarray(targets, float))
         if rows.ndim == 2 and rows.shape[1] == len(outputs) and np.isfinite(rows).all():

@@ -257,18 +257,11 @@ def read_weights(file: Path, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]:
     Raises:
         ValueError: The file is damaged, or holds the weights of another network, or weights that are not finite.
     """
-    saved = _read(file)
-    if saved is None:
-        raise ValueError(f"{file} holds no weights of a policy; restore it, or train again")
-    shapes = [{name: tuple(tensor.shape) for name, tensor in weights.items()} for weights in (saved, wanted)]
-    if differ := sorted(name for name in {**saved, **wanted} if shapes[0].get(name) != shapes[1].get(name)):
-        found, due = (shape.get(differ[0], "missing") for shape in shapes)
-        raise ValueError(
-            f"{file} does not fit the agent of its config.yaml: {differ[0]} is {found}, the agent's {due}; "
-            "restore the pair, or train again"
-        )
-    if wrong := sorted(name for name, weight in saved.items() if not weight.isfinite().all()):
-        raise ValueError(f"{file} holds weights that are not finite, such as {wrong[0]}; train again")
+    saved, shapes = _read(file), {name: weight.shape for name, weight in wanted.items()}
+    if saved is None or {name: weight.shape for name, weight in saved.items()} != shapes:
+        raise ValueError(f"{file} does not hold the weights of the agent in its config.yaml; restore the pair")
+    if not all(bool(weight.isfinite().all()) for weight in saved.values()):
+        raise ValueError(f"{file} holds weights that are not finite; train again")
     return saved
 
 

@@ -33,8 +33,6 @@ FAR = 1000.0
 """Ranges of a state beyond which a plant has run away, where nobody says what its bounds are."""
 Seconds = Annotated[float, Field(gt=0)]
 Size = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-LONGEST = 1e8
-"""Steps of a simulated plant, beyond which a recording would take days."""
 
 
 @checked_class
@@ -87,8 +85,8 @@ class Simulated(DataSource):
         """Excite the plant for training, and by random held inputs of the same range for validation.
 
         Raises:
-            ValueError: there is no plant, its rates of change are none, a name is of none of its states, the recording
-                would take days, or `dt` does not divide the period of a plant that does not stay by itself.
+            ValueError: there is no plant, its rates of change are none, a name is of none of its states, or `dt` does
+                not divide the period of a plant that does not stay by itself.
         """
         if system is None or excitation is None:
             raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
@@ -101,13 +99,6 @@ class Simulated(DataSource):
         seconds = VALIDATION * period if self.validation_seconds is None else self.validation_seconds
         dt = period / self.samples if self.dt is None else self.dt
         substeps, coarse = (self.substeps, []) if self.substeps else _steps(system, start.mean(0), ends, dt)
-        steps = max(signal.duration, seconds) / dt * substeps
-        if steps > LONGEST:
-            raise ValueError(
-                f"{setting('excitation.duration')}={signal.duration:g} s or {setting('data.validation_seconds')}="
-                f"{seconds:g} s, with {setting('data.dt')}={dt:g} s and {setting('data.substeps')}={substeps}, is "
-                f"{steps:.3g} steps of the plant; allowed are {LONGEST:g}, an arbitrary limit: shorten it"
-            )
         unseen = Aprbs(
             signal.n_u,
             duration=seconds,

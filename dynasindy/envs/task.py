@@ -219,10 +219,6 @@ class Tracking(Task):
             raise ValueError(f"error_scale must be positive, got {error_scale}; give it in ranges of the targets")
         if len(set(outputs)) < len(outputs):
             raise ValueError(f"the task tracks an output twice: {', '.join(outputs)}; name each once in plant.outputs")
-        if own := [name for name, rate in zip(outputs, rates, strict=False) if name == rate]:
-            raise ValueError(
-                f"task.rates names '{own[0]}' as its own rate; name the state that is it: mend plant.rates"
-            )
         self.output_names = tuple(outputs)
         self.outputs = [signature.state_index(name, "task.outputs") for name in outputs]
         self.rated = [k for k, name in enumerate(rates) if name is not None]
@@ -464,11 +460,9 @@ def _boxes(
     signature: Signature, outputs: Sequence[int], low: Sequence[float] | None, high: Sequence[float] | None
 ) -> tuple[float, ...]:
     """Return the extent of each output's targets; that of its range where the targets of a unit are one value each."""
-    if (low is None) != (high is None):
-        given, absent = ("low", "high") if high is None else ("high", "low")
-        raise ValueError(f"the target range has {given} and no {absent}; give both, or neither")
-    if low is None or high is None:
+    if low is None and high is None:
         return (1.0,) * len(outputs)
+    low, high = low or (), high or ()
     if not len(low) == len(high) == len(outputs) or not all(a <= b for a, b in zip(low, high, strict=True)):
         raise ValueError(
             f"the target range low={list(low)}, high={list(high)} needs low <= high for each output; mend plant"
