@@ -96,33 +96,25 @@ def _read_text(path: Path, file: TextIO) -> Raw:
     except pd.errors.EmptyDataError:
         frame = pd.DataFrame(columns=range(width), dtype=float)
     except pd.errors.ParserError as error:
-        if found := re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error)):
-            raise _too_wide(path, int(found[2]), int(found[3]), len(headings)) from error
-        found = re.search(r"inside string starting at row (\d+)", str(error))
-        raise _open_quote(path, int(found[1]) + 1 if found else first) from error
+        raise _no_table(path, str(error).partition("C error: ")[2].strip()) from error
     frame.index = pd.RangeIndex(first + 1, first + 1 + len(frame))
     for column, texts in frame.select_dtypes("str").items():
         if (broken := texts.str.contains("[\r\n]")).any():
-            raise _open_quote(path, int(broken.idxmax()))
+            raise _no_table(path, f"a quote opens in line {broken.idxmax()} and not closes there")
         if decimal == ",":
             frame[column] = texts.str.replace(",", ".", regex=False)
     frame = frame.dropna(how="all")
     beyond = frame.iloc[:, len(headings) :].notna().any(axis=1)
     if beyond.any():
-        line = int(beyond.idxmax())
-        raise _too_wide(path, line, frame.loc[line].last_valid_index() + 1, len(headings))
+        raise _no_table(path, f"line {beyond.idxmax()} has more values than there are headings, {len(headings)}")
     return frame.iloc[:, : len(headings)].set_axis(headings, axis=1), findings
 
 
-def _too_wide(path: Path, line: int, count: int, headings: int) -> ValueError:
+def _no_table(path: Path, why: str) -> ValueError:
     return ValueError(
-        f"{path}, line {line} has {count} values for {headings} headings; allowed is one each: mend the line; where "
-        "all are so, put points into decimals, or semicolons between columns"
+        f"{path}: {why}; allowed is a value for each heading, and quotes that close in their line: mend it; where all "
+        "are so, put points into decimals, or semicolons between columns"
     )
-
-
-def _open_quote(path: Path, line: int) -> ValueError:
-    return ValueError(f"{path}, line {line}: a quote opens that is not closed in its line; close or remove it")
 
 
 def _encoding(path: Path) -> str:
