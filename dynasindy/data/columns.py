@@ -175,14 +175,11 @@ def infer(
         dt: sampling time that was given [s]; the error then does not ask for it.
 
     Raises:
-        ValueError: no heading is that of a state, none that of an input, one that is named does not exist, or an input
-            holds words.
+        ValueError: no heading is that of a state, none that of an input, or one that is named does not exist.
     """
     path, names = str(table.path), [split_unit(heading)[0] for heading in table.headings]
     if double := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(
-            f"{path} has {', '.join(map(repr, double))} more than once in its headings; rename all but one"
-        )
+        raise ValueError(f"{path} has {', '.join(map(repr, double))} twice in its headings; rename all but one")
     clock, _ = clock_of(table.headings, time)
     timed = clock in table.headings
     own = ("reference_", "predicted_")  # in logs of ours
@@ -190,17 +187,11 @@ def infer(
     columns = {name: column for name, column in columns.items() if not name.startswith(own)}
     units = {name: split_unit(column.name)[1] for name, column in columns.items()}
     named = {found for name in (*(inputs or ()), *(states or ())) for found in find_names(name, columns)}
-    driving = {found for name in inputs or () for found in find_names(name, columns)}
     kinds = {name: table.kinds[column.name] for name, column in columns.items()}
     moves = {name: moves for h, moves in table.moving().items() if (name := split_unit(h)[0]) in columns}
     if timed or dt is not None:
         t = table.column(clock) if timed else np.arange(len(table.frame), dtype=np.float64)
         kinds |= {name: "counter" for name in moves if _keeps_time(table.column(columns[name].name), t)}
-    for name, kind in kinds.items():
-        if kind in ("words", "dates") and (name in driving or (inputs is None and INPUT.fullmatch(name))):
-            raise LogError("log.worded_column", file=path, column=name, text=table.words[columns[name].name]["text"])
-        if kind == "empty" and name in named:
-            raise LogError("log.column_without_numbers", file=path, column=name)
     if dt is not None and not timed:  # even rows, unless a column may be a time by another name
         timed = not any(grows(column) for name, column in moves.items() if name not in named)
     numeric = {name: columns[name] for name, kind in kinds.items() if kind not in ("words", "dates", "empty")}
@@ -218,7 +209,7 @@ def infer(
         found = next(filter(None, ([name for name in some if name not in why] for some in commands)), [])
         found = [name for name in found if name[0].islower()] or found  # U_left beside u may be anything
     else:
-        found = _chosen(numeric, inputs, path, "data.inputs")
+        found = _chosen(columns, inputs, path, "data.inputs")
     leave("label", [name for name, column in left().items() if _is_label(column)])
     guessed = not found and inputs is None and timed
     if guessed:
@@ -235,7 +226,7 @@ def infer(
     if states is None:
         chosen = [name for name in numeric if name not in why and name not in found]
     else:
-        chosen = _chosen([name for name in numeric if name not in found], states, path, "data.states")
+        chosen = _chosen([name for name in columns if name not in found], states, path, "data.states")
         why = {
             name: kind
             for name, kind in why.items()
@@ -263,7 +254,7 @@ def infer(
         out.append(weak("log.held_states", states=still))
     if guessed:
         out.append(weak("log.guessed_inputs", inputs=found, states=chosen, named=bool(acting)))
-    return {name: numeric[name] for name in chosen}, {name: numeric[name] for name in found}, out
+    return {name: columns[name] for name in chosen}, {name: columns[name] for name in found}, out
 
 
 def _is_label(column: Array, rarely: bool = True) -> bool:

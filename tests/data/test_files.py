@@ -133,7 +133,7 @@ def test_typed_dates_are_no_input(tmp_path):
     with pytest.raises(LogError) as found:
         LoggedData(str(tmp_path / "log.npz")).recording(None)
     finding = found.value.finding
-    assert finding.code == "log.worded_column" and finding.values["column"] == "u"
+    assert finding.code == "log.no_roles" and finding.values["left_out"][0].values["columns"] == ["u"]
 
 
 def test_what_is_no_column_of_real_numbers_is_told_and_text_may_hold_the_time(tmp_path):
