@@ -192,19 +192,14 @@ def _no_roles(
     )
 
 
-def _guess(time: str | None, inputs: Sequence[str], states: Sequence[str], clock_known: bool, counter: str) -> str:
-    """Say what columns may be: sentences, then settings to copy."""
-    hints = [
-        " No column grows as time does: log it, or give <data.dt>, the time between two rows in seconds." * (not time),
-        f" If {counter}, of whole numbers, counts rows, give <data.dt>, too." * bool(counter),
-    ]
-    given: dict[str, Any] = {} if not time or (clock_known and time == "time") else {"time": time}
-    given |= {"inputs": [*inputs], "states": [*states]}
+def _guess(time: str | None, **roles: Sequence[str]) -> str:
+    """Say what columns may be, in settings to copy."""
+    hint = "" if time else " No column grows as time does: log it, or give <data.dt>, the time between two rows."
+    given = roles if time in (None, "time") else {"time": time, **roles}
     words = [f"'data.{key}={_flow(v)}'" if _words_of_commands else f"{key}={v!r}" for key, v in given.items()]
-    if not time or (counter and not clock_known):
-        words.append("data.dt=SECONDS" if _words_of_commands else "dt=SECONDS")
+    words += [] if time else [setting("data.dt", "SECONDS")]
     copied = " ".join(words) if _words_of_commands else f"read(path, {', '.join(words)})"
-    return f"{''.join(hints)} This is a first guess, to be corrected: {copied}"
+    return f"{hint} This is a first guess, to be corrected: {copied}"
 
 
 def _rate_units(state: str, rate: str, factor: float, guessed: bool, unit: str = "", states: Any = None) -> str:

@@ -246,7 +246,7 @@ def infer(
         numbers = table.of_kind("constant", "counter", "moving")
         facts: dict[str, Any] = {"columns": table.headings, "numbers": numbers, "clock": clock}
         if numbers and lacks != "command":
-            facts["guess"] = _guess_columns(table, clock if timed else None, found, dt)
+            facts["guess"] = _guess_columns(table, clock if timed else None, found)
         raise LogError("log.no_roles", path=path, lacks=lacks, left_out=out, **facts)
     moving = min((_standing(moves[name]) for name in chosen if name in moves), default=1.0) < HELD
     still = [name for name in left() if name in chosen and states is None and _is_held(moves[name], moving)]
@@ -455,26 +455,20 @@ def _keeps_time(column: Array, t: Array) -> bool:
     return bool(steps.max() > 0 and off <= max(ticks, 1e-3 * np.ptp(x)))
 
 
-def _guess_columns(table: Table, time: str | None, inputs: Sequence[str], dt: float | None) -> dict[str, Any]:
+def _guess_columns(table: Table, time: str | None, inputs: Sequence[str]) -> dict[str, Any]:
     """Return a first guess at time, a column that grows, inputs, held longest, and states, as facts for a reader."""
-    columns, named = table.moving(), time is not None
+    columns = table.moving()
     growing = sorted((h for h in columns if grows(columns[h])), key=lambda heading: is_counter(columns[heading]))
     time = time or next(iter([*table.of_kind("dates"), *growing]), None)
     t = table.column(time) if time else np.zeros(0)
     aside = {time, *table.of_kind("counter"), *(h for h in columns if time and _keeps_time(table.column(h), t))}
     still = {split_unit(h)[0]: _standing(column) for h, column in columns.items() if h not in aside}
     names = [*still]
-    counter = dt is None and time in growing and not parts_of(time)[1] and is_counter(columns[time])
     if not inputs and names:
         longest = max(names, key=lambda name: still[name])
         units = dict(map(split_unit, columns))
         first = next((n for n in names if _is_actuator(n, units[n])), longest if still[longest] > HELD else names[-1])
         pair = [name for name in _alike(first, units) if name in names]
         inputs = pair if len(pair) < len(names) else [first]  # one matrix is no pair
-    return {
-        "time": split_unit(time)[0] if time else None,
-        "inputs": [*inputs],
-        "states": [name for name in names if name not in inputs],
-        "clock_known": named,  # what is called time may be one in whole seconds
-        "counter": time if counter else "",
-    }
+    states = [name for name in names if name not in inputs]
+    return {"time": split_unit(time)[0] if time else None, "inputs": [*inputs], "states": states}
