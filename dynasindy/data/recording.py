@@ -501,21 +501,15 @@ def _between_jumps(t: Array, column: Array, jumps: NDArray[np.bool_], grid: Arra
 
 def _one_period(parts: Sequence[_Part], dt: float | None) -> float:
     """Return the sampling time of all files, and refuse files of which one could not be joined to the first."""
-    first, own = parts[0], [_period_of_samples(part) if dt is None else dt for part in parts]
-    for part, period in zip(parts, own, strict=True):
-        if abs(period - own[0]) > EVEN * own[0]:
+    periods = [_period_of_samples(part) if dt is None else dt for part in parts]
+    units = [{name: column.unit for name, column in {**part.states, **part.inputs}.items()} for part in parts]
+    for part, period, own in zip(parts, periods, units, strict=True):
+        if abs(period - periods[0]) > EVEN * periods[0] or own != units[0]:
             raise ValueError(
-                f"{first.path} has a row every {own[0]:g} s and {part.path} every {period:g} s; allowed is one "
-                "sampling time: fit them one by one, or write them at one rate"
+                f"{parts[0].path} has a row every {periods[0]:g} s in units {units[0]}, {part.path} every {period:g} s "
+                f"in units {own}; allowed are the same: fit them one by one, or write them alike"
             )
-        others = {**first.states, **first.inputs}
-        for name, column in {**part.states, **part.inputs}.items():
-            if column.unit != others[name].unit:
-                raise ValueError(
-                    f"{name} is in {others[name].unit} in {first.path} and in {column.unit} in {part.path}; "
-                    "allowed is one unit: write the files in the same one"
-                )
-    return own[0]
+    return periods[0]
 
 
 def _period_of_samples(part: _Part) -> float:
@@ -638,13 +632,13 @@ def _columns_of(group: Mapping[str, Any], states: bool) -> dict[str, Column]:
         try:
             keys = {"name": given} if isinstance(given, str) else given
             column = given if isinstance(given, Column) else Column(**keys)
+            if states and column.low is not None:
+                raise ValueError("a state has no ends")
         except (TypeError, ValueError) as error:
             raise ValueError(
-                f"a column is {given!r}; allowed is a heading, or the keys name, unit, scale (a number, not 0), "
-                f"and of inputs low and high (both, low < high), with these rest, a number: {correct_map()}"
+                f"{name} is given as {given!r}; allowed is a heading, or the keys name, unit, scale (a number, not 0), "
+                f"and of inputs alone low and high (both, low < high), with these rest, a number: {correct_map()}"
             ) from error
-        if states and column.low is not None:
-            raise ValueError(f"state {name} was given low and high, which inputs alone have: {correct_map()}")
         made[name] = column
     for name, column in made.items():
         if not (column.name or (states and any(other.name for other in made.values()))):
