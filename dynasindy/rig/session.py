@@ -221,22 +221,18 @@ class Session:
             ValueError: The controller is one for another plant, period or sensors; nothing has moved.
         """
         mine, theirs = self.wiring.signature, controller.signature
-        if theirs.input_names != mine.input_names:
-            raise ValueError(f"the controller sets {', '.join(theirs.input_names)}, not {', '.join(mine.input_names)}")
-        if abs(controller.dt - self.wiring.dt) > 1e-9 * self.wiring.dt:
-            raise ValueError(
-                f"the controller's period is {controller.dt:g} s, the rig's {self.wiring.dt:g} s; give dt="
-            )
-        if missing := sorted({*controller.measured} - {*self.wiring.measured}):
-            raise ValueError(f"the rig does not measure {missing[0]}, which the controller reads; plan one for it")
-        for state in sorted(controller.measured):
-            units = [s.state_units[s.state_index(state)] for s in (theirs, mine)]
-            if units[0] != units[1]:
-                raise ValueError(f"the controller reads {state} in {units[0]}, the rig sends {units[1]}; give one unit")
+        units, seen = dict(zip(mine.state_names, mine.state_units, strict=True)), self.wiring.measured
+        read = [(n, u) for n, u in zip(theirs.state_names, theirs.state_units, strict=True) if n in controller.measured]
+        agreed = [
+            ("the inputs", ", ".join(mine.input_names), ", ".join(theirs.input_names)),
+            ("the control period in s", f"{self.wiring.dt:.9g}", f"{controller.dt:.9g}"),
+            *((f"the unit of {name}", units[name] if name in seen else "not measured", unit) for name, unit in read),
+        ]
         if mine.input_ends and not mine.same_input_ranges(theirs):
-            raise ValueError(
-                f"-1 and 1 are {_ends(mine)} on the rig, {_ends(theirs)} for the controller; give the same"
-            )
+            agreed.append(("the range of the inputs", *(str(each.input_ranges.tolist()) for each in (mine, theirs))))
+        for what, own, planned in agreed:
+            if own != planned:
+                raise ValueError(f"{what}: {own} on the rig, {planned} for the controller; give one that is alike")
         self._tell_inputs(theirs)
         names = mine.state_names
 
@@ -299,8 +295,3 @@ class Session:
             signature = replace(logs[0].signature, x_scale=tuple(widest))
         data = Transitions.cat([log.training for log in logs])
         return replace(logs[0], training=data, signature=signature, findings=tuple(findings))
-
-
-def _ends(signature: Signature) -> str:
-    ends = signature.input_ends or (WHOLE,) * signature.n_u
-    return ", ".join(f"{low:g} and {high:g}" for low, high in ends)

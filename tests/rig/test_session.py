@@ -209,9 +209,9 @@ def test_logs_of_another_rig_are_refused_before_anything_moves(tmp_path):
 @pytest.mark.parametrize(
     ("mine", "theirs", "message"),
     [
-        ({"state_units": ("deg", "rad/s")}, {}, "rad.*deg"),
-        ({"input_ends": ((0.0, 12.0),)}, {}, "0 and 12 .*-1 and 1"),
-        ({"input_ends": ((0.0, 12.0),)}, {"input_ends": ((-12.0, 12.0),)}, "0 and 12 .*-12 and 12"),
+        ({"state_units": ("deg", "rad/s")}, {}, "deg.*rad"),
+        ({"input_ends": ((0.0, 12.0),)}, {}, r"\[0.0, 12.0, .*\[-1.0, 1.0, "),
+        ({"input_ends": ((0.0, 12.0),)}, {"input_ends": ((-12.0, 12.0),)}, r"\[0.0, 12.0, .*\[-12.0, 12.0, "),
     ],
 )
 def test_a_controller_in_other_units_is_refused_before_anything_moves(session, mine, theirs, message):
