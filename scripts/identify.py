@@ -12,7 +12,7 @@ def main(cfg: Any) -> None:
     from hydra.utils import instantiate
 
     from dynasindy.identification.identify import Identified, before_fit
-    from dynasindy.progress import report_progress, say, width
+    from dynasindy.progress import report_progress, say
     from dynasindy.sentences import lines
 
     if cfg.data.get("path") and cfg.get("sensors") is not None:
@@ -33,7 +33,7 @@ def main(cfg: Any) -> None:
         draw_identification(found, folder, cfg.formats)
     # Of a log that tells too little to plan on, the findings say how to log anew.
     steps = [] if found.quiet and not found.predicts else [next_steps(next_command(cfg, found))]
-    say(found.to_text(width()), f"written to {folder}", *steps)
+    say(found.to_text(), f"written to {folder}", *steps)
 
 
 def load_data(cfg: Any) -> Any:

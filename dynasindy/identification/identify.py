@@ -54,8 +54,6 @@ if TYPE_CHECKING:
 
 FINEST = 1e-6
 """Part of the range of a state below which what a sensor resolves is no noise."""
-CELL = 11
-"""Columns of a number in the table of errors."""
 PAST, FEW, ROWS, JUDGED = 8, 3, 4000, 40_000
 """Past samples that a linear model may read, also with products, and rows for its fit and its judgement, at most."""
 SLOWEST, FARTHEST, HORIZONS = 3, 1000, 5
@@ -181,12 +179,8 @@ class Identified(LogFit):
         """All findings: of the data, the fit, the equations, and of what the model predicts."""
         return [*self.source.findings, *self.report.findings, *self.content, *self.verdict]
 
-    def to_text(self, columns: int | None = None) -> str:
-        """Return equations, fit, identifiability, what the data show, errors and a verdict for a reader.
-
-        Args:
-            columns: Columns of the terminal that the table of errors has to fit; None lets lines be long.
-        """
+    def to_text(self) -> str:
+        """Return equations, fit, identifiability, what the data show, errors and a verdict for a reader."""
         source, forecasts = self.source, self.forecasts
         first, *others = gravest_first(self.verdict)
         text = [
@@ -196,7 +190,7 @@ class Identified(LogFit):
             self.report.to_text(),
             *(each.line("found") for each in self.content),
             "",
-            *(table(forecasts, source.signature, columns) if forecasts is not None else []),
+            *(table(forecasts, source.signature) if forecasts is not None else []),
             f"one prediction of all data that the fit did not see{self.restarts}, relative to "
             "the standard deviation of each state",
         ]
@@ -329,37 +323,36 @@ def before_fit(model: SindyModel, source: Source) -> list[Finding]:
     return [*check_rates(source.training, source.signature, rates_of(model)), *source.findings]
 
 
-def table(forecasts: ForecastErrors, signature: Signature, columns: int | None = None) -> list[str]:
-    """Write the errors over all horizons: of the model, of a linear one, and of the last value held, a line each.
+def table(forecasts: ForecastErrors, signature: Signature) -> list[str]:
+    """Write the errors over all horizons, a line each: of the model, of a linear one, and of the last value held.
 
     A linear model may run away without ever being infinite: beyond `LOST` ranges of a state its error is no number.
 
     Args:
         forecasts: The errors.
         signature: Names and units of the states.
-        columns: Columns of the terminal; horizons that do not fit beside each other stand in a table below. None
-            lets lines be long.
     """
     kinds = {"model": forecasts.model, "linear model": forecasts.linear, "last value held": forecasts.held}
-    wide, heads = max(map(len, kinds)) + 4, [format_duration(horizon) for horizon in forecasts.horizons]
-    beside = len(heads) if columns is None else max(1, (columns - wide - 2) // CELL)
-    fine = (forecasts.resolution < FINEST * torch.tensor(signature.x_scale)).tolist()
+    heads = [format_duration(horizon) for horizon in forecasts.horizons]
     text = [
-        f"RMS error of predictions that begin at {forecasts.starts} samples which the fit did not see; the linear "
-        f"model predicts from {forecasts.order} past samples; over the first"
+        f"RMS error over some time of predictions that begin at {forecasts.starts} samples which the fit did not see; "
+        f"the linear model predicts from {forecasts.order} past samples"
     ]
-    for some in (range(len(heads))[first : first + beside] for first in range(0, len(heads), beside)):
-        text.append(f"  {'':<{wide}}{''.join(f'{heads[k]:>{CELL}}' for k in some)}")
-        for i, (name, unit) in enumerate(zip(signature.state_names, signature.state_units, strict=True)):
-            if bool(forecasts.held[:, i].isnan().all()):
-                continue
-            finest = f"a step, or the noise, of its sensor is {error_of(float(forecasts.resolution[i]))}"
-            text.append(f"  {name} [{unit}], {'whose sensor shows no noise' if fine[i] else finest}")
-            most = LOST * signature.x_scale[i]
-            for kind, found in kinds.items():
-                errors = [float(found[k, i]) for k in some]
-                cells = (error_of(math.inf if error > most else error) for error in errors)
-                text.append(f"    {kind:<{wide - 2}}{''.join(f'{cell:>{CELL}}' for cell in cells)}")
+    for name, unit, scale, finest, *columns in zip(
+        signature.state_names,
+        signature.state_units,
+        signature.x_scale,
+        forecasts.resolution.tolist(),
+        *(errors.mT.tolist() for errors in kinds.values()),
+        strict=True,
+    ):
+        if np.isnan(columns[-1]).all():
+            continue
+        fine = "whose sensor shows no noise"
+        fine = fine if finest < FINEST * scale else f"a step, or the noise, of its sensor is {error_of(finest)}"
+        cells = [[error_of(math.inf if e > LOST * scale else e) for e in errors] for errors in columns]
+        rows = pd.DataFrame(dict(zip(kinds, cells, strict=True)), heads).to_string(col_space=11)
+        text += [f"  {name} [{unit}], {fine}", *(f"    {row}" for row in rows.split("\n"))]
     return text
 
 

@@ -107,14 +107,11 @@ def test_measured_states_that_are_predicted_are_those_to_keep_beside_others_that
 
 
 def test_the_table_holds_measured_states_alone():
-    lines = table(forecasts(0.002), SIGNATURE)
-    assert lines[1].split() == ["0.2", "s", "2", "s", "5", "s"]
-    assert lines[2] == "  q [rad], a step, or the noise, of its sensor is 0.0015" and not any(
-        "v [" in line for line in lines
-    )
-    assert [line.split()[-2] for line in lines[3:6]] == ["0.002", "1", "0.1"]  # over 2 s
-    assert [line.split("  ")[2] for line in lines[3:6]] == ["model", "linear model", "last value held"]
-    assert "past" in lines[0]
+    head, state, kinds, *rows = table(forecasts(0.002), SIGNATURE)[:6]
+    assert "past" in head and kinds.split() == ["model", "linear", "model", "last", "value", "held"]
+    assert state == "  q [rad], a step, or the noise, of its sensor is 0.0015"
+    assert rows[1].split() == ["2", "s", "0.002", "1", "0.1"]
+    assert not any("v [" in line for line in table(forecasts(0.002), SIGNATURE))
 
 
 def test_an_input_is_known_between_the_ends_of_a_log_where_the_equations_bend_in_it():
