@@ -229,7 +229,9 @@ class Session:
             *((f"the unit of {name}", units[name] if name in seen else "not measured", unit) for name, unit in read),
         ]
         if mine.input_ends and not mine.same_input_ranges(theirs):
-            agreed.append(("the range of the inputs", *(str(each.input_ranges.tolist()) for each in (mine, theirs))))
+            agreed.append(
+                ("the range of the inputs", str(mine.input_ranges.tolist()), str(theirs.input_ranges.tolist()))
+            )
         for what, own, planned in agreed:
             if own != planned:
                 raise ValueError(f"{what}: {own} on the rig, {planned} for the controller; give one that is alike")
