@@ -130,7 +130,7 @@ class GradientPlanning(Planner):
             errors at the end of episodes are large and fall. This, `window`, `lr`, `patience`, `substeps`,
             `warm_start` and `gain_range` follow the plant where they are None, see `dynasindy.planning.plan_settings`.
         more_updates: Gradient updates of each later phase, which goes on from the policy as it is.
-        rollouts: Imagined episodes side by side; 0 plans nothing and leaves the actor to TD3.
+        rollouts: Imagined episodes side by side.
         window: Control periods that a gradient reaches back.
         lr: Learning rate of the first phase at its start, 0.3 of it in later ones; it falls along a half cosine to 1 %.
         width: Error at which the imagined cost turns from quadratic to linear [target ranges]; None plans on the
@@ -158,6 +158,7 @@ class GradientPlanning(Planner):
             rollouts do not fit into memory.
     """
 
+    learns_by_td3 = False  # critics know nothing of the imagined windows and would pull the actor away
     # Departure: the paper's reward is quadratic with a bonus; its slope vanishes near zero and the bonus has none.
     # The imagined cost has the task's weights, is linear beyond `width`, and has no bonus; without a width it is the
     # task's own.
@@ -171,7 +172,7 @@ class GradientPlanning(Planner):
         *,
         updates: Count | None = None,
         more_updates: Count = 80,
-        rollouts: Count = 128,
+        rollouts: Positive = 128,
         window: Positive | None = None,
         lr: Annotated[float, Field(gt=0)] | None = None,
         width: Annotated[float, Field(gt=0)] | None = 0.02,
@@ -200,8 +201,6 @@ class GradientPlanning(Planner):
             self.network = copy.deepcopy(self.network).cpu()  # where machine code moves the model
         self.more_updates, self.searches = more_updates, searches
         self.rollouts = rollouts
-        # TD3's critics know nothing of the imagined windows and would pull the actor away.
-        self.learns_by_td3 = rollouts == 0
         self.check_every = check_every
         self.input_delay, self.others = input_delay, list(others)
         self.rng = torch.Generator().manual_seed(seed)
@@ -229,7 +228,7 @@ class GradientPlanning(Planner):
             Diverged: The phase trained nothing, or no policy of it has a finite return; the actor is as it was.
         """
         first, self.phase = self.phase == 0, self.phase + 1
-        if not self.rollouts or not (self.given.get("updates", 1) if first else self.more_updates):
+        if not (self.given.get("updates", 1) if first else self.more_updates):
             return Planned()
         report_progress("planning")
         if (actor := _network(self.agent.policy)) is not self.network:
@@ -321,7 +320,7 @@ class GradientPlanning(Planner):
 
     def settings(self) -> dict[str, Any]:
         """Return the settings of the latest phase and why they are so."""
-        return asdict(self.pace) if self.phase and self.rollouts else {}
+        return asdict(self.pace) if self.phase else {}
 
     def state_dict(self) -> dict[str, Any]:
         """Return the phases so far and the generator; episodes and optimiser begin anew in each phase."""

@@ -14,7 +14,7 @@ from torch import nn
 
 from dynasindy.agents import Actor
 from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward
-from dynasindy.planning import GradientPlanning, Planned
+from dynasindy.planning import GradientPlanning
 from dynasindy.planning import imitation as module
 from dynasindy.planning.gradient_planning import _Episodes
 from dynasindy.planning.imitation import _better, _starts, imagined_rewards, improve
@@ -137,13 +137,6 @@ def test_a_model_that_explodes_elsewhere_is_still_planned_with(setting, small):
     assert not whole.alive[-1].all()  # the untrained policy does run it backwards
     planner.plan()
     assert total(env, agent) > 0.5 * before
-
-
-def test_no_rollouts_plan_nothing_and_leave_the_actor_to_td3(setting, small):
-    env, agent, replay = setting()
-    idle = GradientPlanning(env, agent, replay, rollouts=0)
-    assert idle.plan() == Planned() and idle.learns_by_td3
-    assert not GradientPlanning(env, agent, replay, **small).learns_by_td3
 
 
 class Nowhere(Xi):
