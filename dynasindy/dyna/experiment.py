@@ -97,9 +97,7 @@ class Components(PlantComponents):
 
     def _kept(self) -> dict[str, Any]:
         parts = {name: getattr(self, name) for name in ("world_model", "agent", "replay", "planner", "sensing")}
-        task = self.plant.task
-        parts |= {"task": task if task.learns else None}
-        return {name: part for name, part in parts.items() if part is not None}
+        return {name: part for name, part in parts.items() if part is not None} | {"task": self.plant.task}
 
     _drawing: ClassVar = ("plant", "model_env")
 

@@ -29,7 +29,6 @@ class Refit:
     """What came of a refit.
 
     Attributes:
-        report: What the model's fit returned, or the `Diverged` that it ended in.
         error_before: State error of the earlier model on the held-out windows, in ranges of the states; NaN if none.
         error_after: That of the refitted model.
         kept: Whether the refitted model stays.
@@ -37,7 +36,6 @@ class Refit:
             and NaN where there is no whole period.
     """
 
-    report: object
     error_before: float
     error_after: float
     kept: bool
@@ -100,25 +98,25 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
         whole = rollout[: rollout.numel() - broken]
         unknown = ModelError(torch.nan, torch.nan, whole["state"])
         unseen = replay_error(parts.model_env, whole) if len(whole) else unknown
-        return Refit(first_fit(parts, rollout), torch.nan, torch.nan, True, unseen)
+        first_fit(parts, rollout)
+        return Refit(torch.nan, torch.nan, True, unseen)
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
     held_out[(starts.unsqueeze(-1) + torch.arange(WINDOW)).flatten()] = True
     take_back = parts.world_model.kept()
     before, shown_for = replay_error(parts.model_env, rollout, starts, WINDOW), parts.world_model.delay
-    report: object
     try:
-        report = _fit(parts, held_out)
+        _fit(parts, held_out)
         later = (parts.world_model.delay - shown_for) / parts.plant.dt
         after = replay_error(parts.model_env, _acting(rollout, later), starts, WINDOW)
         kept = after.state_error <= max(WORSE * before.state_error, NEGLIGIBLE)
-    except Diverged as lost:  # the worst of refits, and taken back like any other
-        report, after, kept = lost, replace(before, reward_error=torch.inf, state_error=torch.inf), False
+    except Diverged:  # the worst of refits, and taken back like any other
+        after, kept = replace(before, reward_error=torch.inf, state_error=torch.inf), False
     if not kept:
         take_back()
         if parts.plant.task.own:  # a reward is told by all data, whatever became of the model: the gate judges both
             before = replay_error(parts.model_env, rollout, starts, WINDOW)
     _observe(parts, rollout)
-    return Refit(report, before.state_error, after.state_error, kept, after if kept else before)
+    return Refit(before.state_error, after.state_error, kept, after if kept else before)
 
 
 def _acting(rollout: TensorDictBase, later: float) -> TensorDictBase:

@@ -32,6 +32,8 @@ from dynasindy.text import duration_unit
 
 PLANTS: dict[str, Callable[[], System]] = {"tras": Tras, "xi": Xi, "trms33": Trms33}
 Array = NDArray[np.float32]
+Step = Callable[[Array], tuple[Array, float, dict[str, Any]]]
+"""From an action to observation, reward and info."""
 
 
 class _GymControl(gymnasium.Env[Array, Array]):
@@ -51,7 +53,7 @@ class _GymControl(gymnasium.Env[Array, Array]):
         self.observation_space = spaces.Box(-most, most, (n_o,), np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (n_u,), np.float32)
         self._steps: int | None = None
-        self._compiled: Callable[[Array], tuple[Array, float, dict[str, Any]]] | None = None
+        self._compiled: Step | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode with a fresh reference; the same seed begins the same sequence of episodes."""
@@ -98,9 +100,7 @@ class _GymControl(gymnasium.Env[Array, Array]):
         return shown["observation"].numpy(), self._info
 
 
-def _compiled_step(
-    env: ControlEnv, begun: TensorDictBase
-) -> Callable[[Array], tuple[Array, float, dict[str, Any]]] | None:
+def _compiled_step(env: ControlEnv, begun: TensorDictBase) -> Step | None:
     """Return what advances one row, its state and count in `begun`, by two calls of machine code, if there is any."""
     x, params, steps = begun["state"], begun["task_params"].contiguous(), begun["step_count"]
     u = x.new_zeros(1, env.system.signature.n_u)
@@ -153,13 +153,7 @@ def twin_rotor(
 def pendulum(low: float = -1.0, high: float = 1.0, render_mode: str | None = None) -> _GymControl:
     """Return the pendulum under random step references between `low` and `high` [rad]."""
     system = Pendulum()
-    task = Tracking(
-        system.signature,
-        RandomStep([low], [high]),
-        outputs=("theta",),
-        rates=("Omega",),
-        reward=TrackingReward(error_weights=(4.0,)),
-    )
+    task = Tracking(system.signature, RandomStep([low], [high]), ["theta"], ["Omega"], TrackingReward((4.0,)))
     return _GymControl(ControlEnv(system, task), render_mode)
 
 
@@ -245,8 +239,7 @@ class Foreign(System):
                 f"plant.stops names {strange[0]}, {id} has the states {', '.join(ranges)}; name some of these"
             )
         clips = torch.tensor([stops is None or name in stops for name in ranges])
-        far = torch.tensor([[-math.inf], [math.inf]], dtype=torch.float64)
-        self.ends = torch.where(clips, both, far)
+        self.ends = torch.where(clips, both, both.new_tensor([[-math.inf], [math.inf]]))
         # How long a step is [s]: `dt`, as MuJoCo's and the pendulum have it, or `tau`, as the cart-pole.
         steps = (getattr(copy.unwrapped, name, None) for name in ("dt", "tau"))
         self.period = next((repeat * float(s) for s in steps if isinstance(s, int | float) and 0 < s < math.inf), None)
@@ -468,12 +461,9 @@ class _Observed:
         self.names, self.is_angle = list(names), torch.tensor([name in angles for name in states])
         pairs = [angles.get(name, (name, name)) for name in states]
         self.sine, self.cosine = ([names.index(pair[k]) for pair in pairs] for k in (0, 1))
-        self.plain = not angles and list(names) == list(states)
 
     def state(self, observation: Tensor, before: Tensor | None = None) -> Tensor:
         """Return the state, `(*batch, n_x)`, of observations `(*batch, n)`, and that `before`, unless they begin."""
-        if self.plain:
-            return observation
         x = observation[..., self.sine]
         angle = torch.atan2(x, observation[..., self.cosine])
         if before is not None:
@@ -482,5 +472,4 @@ class _Observed:
 
     def ends(self, ends: Tensor) -> Tensor:
         """Return the ends of the states, `(2, n_x)`, of those of the entries, `(2, n)`; an angle has none."""
-        free = torch.tensor([[-math.inf], [math.inf]], dtype=ends.dtype)
-        return torch.where(self.is_angle, free, ends[:, self.sine])
+        return torch.where(self.is_angle, ends.new_tensor([[-math.inf], [math.inf]]), ends[:, self.sine])

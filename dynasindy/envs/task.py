@@ -64,12 +64,6 @@ class Task(ABC):
         return other
 
     @property
-    def learns(self) -> bool:
-        """Whether real data tell what it earns, so that the tasks of two runs differ."""
-        learns = type(self).learn is not Task.learn or type(self).state_dict is not Task.state_dict
-        return self.own or learns
-
-    @property
     def limited(self) -> bool:
         """Whether inputs have narrower limits than -1 and 1."""
         low, high = self.input_limits

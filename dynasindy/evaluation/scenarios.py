@@ -153,8 +153,7 @@ class Evaluation:
     @property
     def told_steady_seconds(self) -> float | None:
         """Length of the steady state in a table to read [s]; None where no reference rests, as that of a sine."""
-        moving = (self.references.diff(dim=1) != 0).any(-1).float().mean(-1) > 0.5  # more often than it rests
-        return None if len(moving) and bool(moving.all()) else self.steady_seconds
+        return self.steady_seconds if bool(self.resting.any()) else None
 
     @property
     def title(self) -> str:
@@ -164,9 +163,6 @@ class Evaluation:
         facts += [
             f"disturbed from {format_duration(begin, end)} to {format_duration(end)}" for begin, end in self.windows
         ]
-        first = min((begin for begin, _ in self.windows), default=0.0)
-        if first > 0 and not bool(self.metrics["settling_time"].isnan().all()):
-            facts.append(f"overshoot, rise and settling time from what lies before {format_duration(first)}")
         return f"Scenario '{self.scenario}' ({', '.join(facts)})"
 
     @property

@@ -111,7 +111,7 @@ def test_both_errors_of_the_model_stand_under_their_names(recorded, tmp_path):
     rollout = parts.env.rollout(4)
     figures = ((0.25, 0.75), (0.5 / parts.plant.task.unit, 1.0), (2.0, 3.0))
     error, one_step, tested = (ModelError(a, b, torch.zeros(4, 6)) for a, b in figures)
-    again.episode(Episode(2, rollout, error, one_step, False, Refit(None, 4.0, 5.0, True, tested)), Place(2, 7, 8, 9))
+    again.episode(Episode(2, rollout, error, one_step, False, Refit(4.0, 5.0, True, tested)), Place(2, 7, 8, 9))
     (decided,), (logged,) = rows(tmp_path / "gate.csv"), rows(tmp_path / "progress.csv")
     assert [float(decided[key]) for key in ("reward_error", "state_error")] == [0.25, 0.75]
     assert [float(decided[key]) for key in ("judged_reward_error", "judged_state_error")] == [2.0, 3.0]
