@@ -292,9 +292,6 @@ def in_words(error: BaseException, settings: object = None) -> str:
     words = str(error).strip("'\"") if isinstance(error, KeyError) else error_text(error)
     text = " ".join(words.split()).partition(" Config search path:")[0]
     text = re.sub(r'^\[Errno -?\d+\] |(?<=in )"|"(?=, line )', "", text)  # in "my.yaml", line 2
-    torch = sys.modules.get("torch")
-    if hasattr(torch, "get_default_dtype") and (kind := torch.get_default_dtype()) != torch.float32:
-        return f"a part of yours called torch.set_default_dtype({kind}), which all others use; leave it out"
     if place := of_user(error):
         return place
     if (wanted := memory_wanted(error)) is not None:
