@@ -12,13 +12,13 @@ from dynasindy.dyna.experiment import LoopSettings
 from dynasindy.dyna.loop import train
 from dynasindy.envs import ControlEnv, Multisine
 from dynasindy.limits import device
-from dynasindy.planning import GradientPlanning, ImaginedReplay, NoPlanning
+from dynasindy.planning import GradientPlanning, ImaginedReplay
 from dynasindy.sindy import Regression, SindyModel
 from dynasindy.systems import Xi
 
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
 PLANNERS = {
-    "none": NoPlanning,
+    "none": partial(ImaginedReplay, rollouts=0, every=10**6),
     "dyna": partial(ImaginedReplay, rollouts=16, horizon=40),
     "gradient": partial(GradientPlanning, updates=4, more_updates=2, rollouts=8, window=5, check_every=2, searches=0),
 }

@@ -226,12 +226,11 @@ class MachineSteps(GradientSteps):
     def _tensor(self, batch: TensorDictBase, key: str, width: int, dtype: torch.dtype = torch.float32) -> Tensor:
         # The code reads as many numbers as it is told, whatever is there.
         tensor: Tensor = batch.get(key)
-        if not len(tensor):
-            raise ValueError("A batch of TD3 holds no transition; give one at least.")
-        if tensor.shape != (batch.batch_size[0], width) or tensor.dtype != dtype or not tensor.is_cpu:
+        whole = len(tensor) and tensor.shape == (batch.batch_size[0], width)
+        if not whole or tensor.dtype != dtype or not tensor.is_cpu:
             raise ValueError(
                 f"A batch of TD3 holds '{key}' as {tuple(tensor.shape)}, {tensor.dtype}, on {tensor.device}; give "
-                f"{(batch.batch_size[0], width)}, {dtype}, on the CPU."
+                f"{(batch.batch_size[0], width)}, one row at least, {dtype}, on the CPU."
             )
         return tensor.contiguous()
 

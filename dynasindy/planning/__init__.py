@@ -2,7 +2,7 @@
 
 from dynasindy.planning.gate import Gate, ModelError, replay_error
 from dynasindy.planning.gradient_planning import GradientPlanning
-from dynasindy.planning.imagined_replay import Imagination, ImaginedReplay, NoPlanning, Planned, Planner
+from dynasindy.planning.imagined_replay import Imagination, ImaginedReplay, Planned, Planner
 
 __all__ = [
     "Gate",
@@ -10,7 +10,6 @@ __all__ = [
     "Imagination",
     "ImaginedReplay",
     "ModelError",
-    "NoPlanning",
     "Planned",
     "Planner",
     "replay_error",

@@ -408,14 +408,13 @@ class GradientPlanning(Planner):
                     optimizer = _optimizer(self.network, rate)
                 if failures >= self.pace.patience or not made:
                     break
-        finite = all(bool(weight.isfinite().all()) for weight in self.network.parameters())
         self.network.load_state_dict(best_weights)
         if best == -math.inf or not (made or held or self.pace.afar):
             lost, windows = sum(each.diverged for each in episodes), done * self.rollouts
-            mend = f"gradient or reward is not finite: check the task's reward and shorten {setting('planning.window')}"
-            if not finite:
-                mend = f"the actor's weights left all bounds: lower {setting('planning.lr')}, now {rate}"
-            elif lost == windows:
+            mend = (
+                f"check the task's reward and shorten {setting('planning.window')}, or lower {setting('planning.lr')}"
+            )
+            if lost == windows:
                 mend = (
                     f"the model explodes: add what its findings say it lacks to {setting('plant.library')}, "
                     f"excite longer or with less noise, or shorten {setting('planning.window')}"

@@ -1,4 +1,4 @@
-"""Planning by imagined replay, as in the paper, and no planning, which leaves plain TD3.
+"""Planning by imagined replay, as in the paper.
 
 A TorchRL transform turns real start states into imagined transitions.
 """
@@ -143,25 +143,6 @@ class Imagination(Transform):
         return rollout.select(*LEARN_KEYS).reshape(-1)[kept.flatten().nonzero().squeeze(-1)]
 
 
-class NoPlanning(Planner):
-    """Plan nothing: the loop is then TD3 on real data alone.
-
-    Args:
-        **parts: What other planners are built from; not used.
-    """
-
-    def __init__(self, **parts: object) -> None:
-        super().__init__()
-
-    def due(self, episode: int) -> bool:
-        """Return False: there is no planning phase, and the model is not fitted again."""
-        return False
-
-    def plan(self) -> Planned:
-        """Return a cost of zero."""
-        return Planned()
-
-
 class ImaginedReplay(Planner):
     """Branch imagined rollouts from real states and store them beside the real transitions.
 
@@ -169,7 +150,7 @@ class ImaginedReplay(Planner):
         env: Imagined environment, `real.with_system(world_model)`.
         agent: Agent whose exploring policy acts in it.
         replay: Both storages; the `Imagination` transform is appended to the model's.
-        rollouts: Imagined rollouts per planning phase (paper: 400 or 800); 0 plans nothing.
+        rollouts: Imagined rollouts per planning phase (paper: 400 or 800); 0 plans nothing, and leaves plain TD3.
         horizon: Length of a rollout [control periods].
         every: Episodes between two planning phases (paper: N).
         generations: Planning phases whose transitions are kept; all, within the storage, if None.

@@ -13,7 +13,7 @@ from dynasindy.dyna import experiment
 from dynasindy.dyna.experiment import LoopSettings
 from dynasindy.dyna.loop import train
 from dynasindy.envs import Chirp, ControlEnv, Multisine, RandomStep, Tracking, TrackingReward
-from dynasindy.planning import Gate, ImaginedReplay, NoPlanning
+from dynasindy.planning import Gate, ImaginedReplay
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Pendulum, Tras
 
@@ -36,7 +36,7 @@ def test_every_part_draws_from_a_seed_of_its_own():
 
         def planning(**parts):
             given.update(parts)
-            return NoPlanning()
+            return ImaginedReplay(**parts)
 
         def agent(**settings):
             given["agent_seed"] = settings["seed"]

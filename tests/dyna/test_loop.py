@@ -12,7 +12,7 @@ from dynasindy.dyna.callback import Callback, Place
 from dynasindy.dyna.loop import LoopSettings, train
 from dynasindy.dyna.refit import Refit
 from dynasindy.envs import Chirp
-from dynasindy.planning import Gate, ImaginedReplay, NoPlanning, Planned, Planner
+from dynasindy.planning import Gate, ImaginedReplay, Planned, Planner
 from dynasindy.sindy import Oracle
 from dynasindy.systems import Tras, Xi
 
@@ -101,7 +101,7 @@ def test_a_closed_gate_lets_nothing_in():
 
 
 def test_no_planning_neither_plans_nor_fits_again():
-    log, made = recipe(lambda log, **parts: NoPlanning(**parts))
+    log, made = recipe(lambda log, **parts: ImaginedReplay(rollouts=0, every=10**6, **parts))
     parts = made.build()
     train(parts, made.train, Callback())
     assert [entry for entry in log if entry.startswith("fit")] == ["fit 25"]

@@ -21,7 +21,7 @@ from dynasindy.dyna.run import Checkpoints, result, run, run_report
 from dynasindy.envs import ControlEnv, Multisine, Step
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.findings import note
-from dynasindy.planning import GradientPlanning, ImaginedReplay, NoPlanning
+from dynasindy.planning import GradientPlanning, ImaginedReplay
 from dynasindy.safe_io import locked
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Xi
@@ -32,7 +32,7 @@ GRADIENT = partial(
     input_delay=0.5,
 )  # fmt: skip
 PLANNERS = {
-    "none": NoPlanning,
+    "none": partial(ImaginedReplay, rollouts=0, every=10**6),
     "replay": REPLAYED,
     "gradient": GRADIENT,
 }
@@ -122,7 +122,7 @@ def test_numbers_that_go_wrong_are_said_with_the_episode_and_lose_nothing(tmp_pa
 
     Plug.calls, Plug.last = 0, None
     evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2)
-    loose = dataclasses.replace(recipe(NoPlanning), system=Loose())
+    loose = dataclasses.replace(recipe(PLANNERS["none"]), system=Loose())
     with pytest.raises(Diverged, match="episode"):
         run(loose, evaluating, tmp_path, *PROVENANCE)
     assert not (tmp_path / "policy.pt").exists()

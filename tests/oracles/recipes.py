@@ -8,7 +8,7 @@ from dynasindy.dyna.callback import Callback, Place
 from dynasindy.dyna.experiment import LoopSettings, Recipe
 from dynasindy.dyna.loop import train
 from dynasindy.envs import Chirp, ControlEnv, RandomStep, Tracking
-from dynasindy.planning import Gate, NoPlanning
+from dynasindy.planning import Gate, ImaginedReplay
 from dynasindy.sindy import Oracle
 from dynasindy.systems import Tras
 
@@ -24,7 +24,7 @@ def make_recipe(plant=None, steps=20, **given):
         "world_model": partial(Oracle, system=plant),
         "agent": partial(TD3, hidden=(8,)),
         "replay": partial(DynaReplay, 1000, 16),
-        "planning": NoPlanning,
+        "planning": partial(ImaginedReplay, rollouts=0, every=10**6),
         "gate": Gate(),
         "train": LoopSettings(1),
     }
