@@ -43,8 +43,6 @@ FIRST = "The first fit, of the excitation alone; model.json has the equations of
 """Its head."""
 UNEXPLAINED = 0.05
 """Part of the changes of a state beyond which a model is said to miss much of them."""
-WRITTEN_EVERY = 10.0
-"""Time between two writings of the tables [s]; they are written whole, which takes a while after many episodes."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,6 @@ class Recorder(Callback):
         self.rows: list[dict[str, float | None]] = []
         self.decisions: list[dict[str, float | None]] = []
         self.start, self.seconds_before = time.perf_counter(), 0.0
-        self.written = -WRITTEN_EVERY
         self.place, self.evaluation_steps = Place(), 0
         self.excitation: list[dict[str, Any]] = []
         self.untrained: Summary = {}
@@ -172,8 +169,7 @@ class Recorder(Callback):
                 "stored_imagined_transitions": float(len(self.parts.replay.model)),
             }
         )
-        if due or time.perf_counter() - self.written > WRITTEN_EVERY:
-            self.write_tables()
+        self.write_tables()
         if last or episode.number == 1:
             when, names = "first" if episode.number == 1 else "last", self.plant.system.signature.state_names
             states = torch.cat([following["state"], error.states], -1)
@@ -295,7 +291,6 @@ class Recorder(Callback):
 
     def write_tables(self) -> None:
         """Write `progress.csv` and `gate.csv` as they are now."""
-        self.written = time.perf_counter()
         for name, rows in (("progress", self.rows), ("gate", self.decisions)):
             if rows:
                 write_csv(self.folder / f"{name}.csv", list(rows[0]), [list(row.values()) for row in rows])
