@@ -45,8 +45,9 @@ def _in_words(found: Check, target: Tensor) -> str:
     """Return a target by the names of its outputs: `theta = 0.5 rad`."""
     signature, outputs = found.loop.signature, found.loop.task.outputs
     values = zip(outputs, target.tolist(), strict=True)
-    words = (f"{style.symbol(signature.state_names[i])} = {v:.3g} {signature.state_units[i]}" for i, v in values)
-    return style.MINUS.sub("\N{MINUS SIGN}", ", ".join(words))
+    return ", ".join(
+        f"{style.symbol(signature.state_names[i])} = {v:.3g} {signature.state_units[i]}" for i, v in values
+    )
 
 
 def _nyquist(found: Check) -> Figure:

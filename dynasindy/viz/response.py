@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
@@ -21,7 +20,7 @@ from dynasindy.viz import style
 from dynasindy.viz.identification import training_data
 
 if TYPE_CHECKING:  # figures know a flight by its attributes alone
-    from dynasindy.rig import Guard, Wiring
+    from dynasindy.rig import Wiring
     from dynasindy.rig.log import FlightRecord
     from dynasindy.rig.session import Session
 
@@ -181,17 +180,16 @@ def draw_session(session: Session) -> list[Path]:
             flown = session.flights.get(path.stem)  # what ended one of an earlier session is not known
             ended = f", ended by {flown.ended}" if flown is not None and flown.ended else ""
             title = f"{path.stem.replace('_', ' ').capitalize()} of the rig{ended}"
-            found = session.samples(path)
-            figures[path.stem] = _draw_excitation(found, session.wiring, session.guard, title)
+            figures[path.stem] = training_data(*session.samples(path), session.wiring.signature, title)
     for name, shown in session.shown.items():
         if len(shown.time):  # it did not end before its first sample
-            figures[name] = _draw_flight(shown, session.wiring, session.guard, name)
+            figures[name] = _draw_flight(shown, session.wiring, name)
     return style.save_figures(figures, session.folder / "figures")
 
 
 @style.styled
-def _draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -> Figure:
-    """Draw a flight on the time that was planned for it, and ranges of the guard that are near."""
+def _draw_flight(shown: FlightRecord, wiring: Wiring, name: str) -> Figure:
+    """Draw a flight on the time that was planned for it."""
     measured = {"measured": shown.outputs}
     planned = max(shown.planned, len(shown.time)) * wiring.dt
     title = f"{name.replace('_', ' ').capitalize()} on the rig"
@@ -200,7 +198,7 @@ def _draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -
         title += f", ended after {format_duration(ended, planned)} of {format_duration(planned)} by {shown.fault}"
     inputs = {"measured": shown.inputs}
     figure = tracking(shown.time, shown.references, measured, inputs, shown.names, wiring.signature, title, False)
-    for column, (axis, output) in enumerate(zip(figure.axes, shown.names, strict=False)):
+    for column, axis in enumerate(figure.axes[: len(shown.names)]):
         if np.isnan(shown.outputs[:, column]).all():
             axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", va="center", color=style.GREY)
         for line in axis.lines:
@@ -208,7 +206,6 @@ def _draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -
                 line.set_drawstyle("steps-post")
             else:  # a line shows nothing of a sample between two that were lost
                 line.set(marker=".", markersize=2.0)
-        _draw_range(figure, axis, guard.ranges.get(output, ()))
     for axis in figure.axes:
         if shown.fault:
             axis.axvline(ended, color=style.RED, linewidth=1.0, label="ended, safe input")
@@ -218,30 +215,6 @@ def _draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -
     return figure
 
 
-@style.styled
-def _draw_excitation(
-    found: tuple[style.Array, style.Array, style.Array], wiring: Wiring, guard: Guard, title: str
-) -> Figure:
-    """Draw what an excitation moved, and ranges of the guard that are near."""
-    time, states, inputs = found
-    figure = training_data(time, states, inputs, wiring.signature, title)
-    seen = [i for i in range(states.shape[1]) if not np.isnan(states[:, i]).all()]
-    for axis, place in zip(figure.axes, seen, strict=False):
-        _draw_range(figure, axis, guard.ranges.get(wiring.signature.state_names[place], ()))
-    style.legend(figure.axes[0], below=True)
-    return figure
-
-
 def _row_times(seconds: style.Array, rows: style.Array) -> style.Array:
     """Return the times of rows, the last of which may be a row after the last control period."""
     return seconds if len(rows) <= len(seconds) else np.append(seconds, style.time_span(seconds)[1])
-
-
-def _draw_range(figure: Figure, axis: Axes, ends: Sequence[float]) -> None:
-    """Draw the ends of a range of the guard that are near; one that is far off would flatten the flight."""
-    bottom, top = axis.get_ylim()
-    room = 0.3 * (top - bottom)
-    for end in ends:
-        if bottom - room < end < top + room:
-            axis.axhline(end, color=style.ORANGE, linestyle="-.", linewidth=1.0)
-            figure.axes[0].plot([], [], color=style.ORANGE, linestyle="-.", linewidth=1.0, label="range of the guard")

@@ -93,8 +93,6 @@ GREEK = (
     *("xi", "pi", "rho", "sigma", "tau", "upsilon", "phi", "chi", "psi", "omega"),
     *("Gamma", "Delta", "Theta", "Lambda", "Xi", "Pi", "Sigma", "Upsilon", "Phi", "Psi", "Omega"),
 )
-MINUS = re.compile(r"(?<![\w.$}\])-])-(?=[\d.])")
-"""The sign of a number, no hyphen."""
 
 
 def styled(draw: Callable[P, T]) -> Callable[P, T]:
@@ -117,7 +115,7 @@ def panels(
     for axis in axes.flat:
         axis.xaxis.set_major_locator(MaxNLocator(steps=[1, 2, 5, 10]))
     if title:
-        title = MINUS.sub("\N{MINUS SIGN}", title).replace("s^2", "s\N{SUPERSCRIPT TWO}")
+        title = title.replace("s^2", "s\N{SUPERSCRIPT TWO}")
         title = re.sub(rf"\b({'|'.join(GREEK)})_[^\W_]+\b", lambda found: symbol(found[0]), title)
         letters = int(11 * size[0])  # some eleven an inch
         lines = [textwrap.fill(line, letters, break_long_words=False) for line in title.split("\n")]

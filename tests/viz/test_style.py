@@ -38,12 +38,6 @@ def test_greek_names_are_letters(name: str) -> None:
     parse_math(symbol(name))
 
 
-def test_a_title_has_minus_signs_and_keeps_hyphens():
-    figure, _ = panels(1, title="Zero-order hold of u-1 at -0.5 rad, to (-1, 2e-05)")
-    words = "Zero-order hold of u-1 at \N{MINUS SIGN}0.5 rad, to (\N{MINUS SIGN}1, 2e-05)"
-    assert " ".join(figure.get_suptitle().split()) == words
-
-
 @pytest.mark.parametrize("name", ["Temperature_1_rate", "joint_position_of_the_left_arm", "omega_p", "T"])
 def test_labels_fit_beside_their_panel_and_legends_below_their_figure(name: str) -> None:
     figure, axes = time_panels([name] * 6, ["rad/s"] * 6, "")
