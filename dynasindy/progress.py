@@ -241,19 +241,9 @@ def _is_terminal(file: TextIO) -> bool:
     return file.isatty() and os.environ.get("TERM") != "dumb"
 
 
-def width(file: TextIO | None = None) -> int | None:
-    """Return the columns of the terminal that a file is; None where it is none, and lines may be long.
-
-    Args:
-        file: The file; standard output if omitted.
-    """
-    return shutil.get_terminal_size().columns if _is_terminal(file or sys.stdout) else None
-
-
 def fit_stderr(text: str) -> str:
     """Return a text within the width of standard error: lines end between words."""
-    columns = width(sys.stderr)
-    return text if columns is None else _wrap(text, columns)
+    return _wrap(text, shutil.get_terminal_size().columns) if _is_terminal(sys.stderr) else text
 
 
 def say(*texts: str) -> None:
@@ -261,7 +251,7 @@ def say(*texts: str) -> None:
     active = Progress.active
     if active is not None:
         active.finish()
-    if (columns := width()) is None:
+    if not _is_terminal(sys.stdout):
         print(*texts, sep="\n", flush=True)
         return
     from rich.console import Console
@@ -270,7 +260,7 @@ def say(*texts: str) -> None:
     # Only the console of the bars knows where they are; what another one writes, they would erase.
     console = active.display.console if active is not None and active.display is not None else Console()
     for text in texts:
-        shown = Text(_wrap(text, columns))
+        shown = Text(_wrap(text, shutil.get_terminal_size().columns))
         for words, colour in COLOURS.items():
             shown.highlight_regex(re.compile(words, re.M), colour)
         console.print(shown, soft_wrap=True, highlight=False)

@@ -68,7 +68,7 @@ from dynasindy.identification.verdict import (
 )
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.plan_settings import LONGEST, find_task_equilibria, unheld
-from dynasindy.progress import reporting_as, say, width
+from dynasindy.progress import reporting_as, say
 from dynasindy.safe_io import checked
 from dynasindy.sentences import lines
 from dynasindy.sindy import Refinement, SindyModel
@@ -437,6 +437,6 @@ def log_report(model: SindyModel, prediction: Forecast) -> str:
     if prediction.evaluation is not None:
         title = f"{prediction.evaluation.title}, {prediction.place}"
         shown = prediction.evaluation
-        table = to_text(shown.summary(), title, shown.state_units, shown.told_steady_seconds, width())
+        table = to_text(shown.summary(), title, shown.state_units, shown.told_steady_seconds)
         text += [table, *lines([*shown.beyond_targets, *shown.restless]), ""]
     return "\n".join([*text, prediction.summary()])

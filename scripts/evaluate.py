@@ -16,7 +16,7 @@ def main(cfg: Any) -> None:
     from dynasindy.evaluation.metrics import to_text
     from dynasindy.evaluation.scenarios import evaluate
     from dynasindy.evaluation.tracking_criteria import WITHIN, judge_control, judge_tracking
-    from dynasindy.progress import say, width
+    from dynasindy.progress import say
     from dynasindy.safe_io import output_folder
     from dynasindy.sentences import lines
     from dynasindy.sindy import SindyModel
@@ -39,7 +39,7 @@ def main(cfg: Any) -> None:
         draw_evaluation(result, out, name, cfg.formats)
         if cfg.animate:
             animate(result, out / f"{scenario.name}.gif")
-        table = to_text(result.summary(), result.title, result.state_units, result.told_steady_seconds, width())
+        table = to_text(result.summary(), result.title, result.state_units, result.told_steady_seconds)
         say(table, *lines(result.beyond_targets), "")
         rerun = partial(evaluate, env, policy, scenario, observer) if env.system.known else None
         _, verdict = judge_control([judge_tracking(result, system, rerun)], within)

@@ -27,7 +27,7 @@ from dynasindy.dyna.recorder import IDENTIFICATION, Evaluating, Recorder
 from dynasindy.evaluation.metrics import to_text
 from dynasindy.findings import Finding, note
 from dynasindy.limits import memory_wanted, raise_if_memory
-from dynasindy.progress import Progress, width
+from dynasindy.progress import Progress
 from dynasindy.safe_io import locked, read_json, refuse_links, remove_leftovers, replace_file, write_json, write_text
 from dynasindy.sentences import check_summary
 from dynasindy.systems import Diverged
@@ -197,9 +197,7 @@ def run_report(metrics: dict[str, Any], folder: Path) -> str:
     steady, nis = metrics.get("steady_seconds", 5.0), (metrics.get("observer") or {}).get("nis")
     planned = metrics.get("planning")
     of_plant = planned.get("why") if isinstance(planned, dict) else ""  # earlier versions had a sentence there
-    lines.append(
-        to_text(metrics["evaluation"], title, metrics.get("state_units") or metrics.get("units"), steady, width())
-    )
+    lines.append(to_text(metrics["evaluation"], title, metrics.get("state_units") or metrics.get("units"), steady))
     lines += [
         "",
         f"Cost: the plant moved for {format_duration(cost['plant_seconds'])} to learn, which are {cost['real_steps']} "

@@ -146,7 +146,6 @@ def to_text(
     title: str = "",
     units: Mapping[str, str] | None = None,
     steady: float | None = 5.0,
-    width: int | None = None,
 ) -> str:
     """Return a table of a summary, metrics down and axes across, aligned for a terminal.
 
@@ -157,14 +156,12 @@ def to_text(
         title: First line.
         units: Unit of each state; rad if omitted.
         steady: Length of the part that counts as steady state [s]; None leaves its error out, as of a sine.
-        width: Columns of the terminal; axes that do not fit beside each other stand below. None lets lines be long.
     """
     units, errors = units or {}, [name for name in TRACKING if steady is not None or name != "steady_state_error"]
     last = f"steady-state error (last {format_duration(steady or 0.0)})"
     axes, inputs = _columns(summary, "rmse"), _columns(summary, "control_effort")
     told = [units.get(axis, "rad") for axis in axes]
     shared = told[0] if len(set(told)) == 1 else ""
-    beside = len(axes) + len(inputs) if width is None else max(1, (width - 38) // 12)
     steps = [name for name in ("steps", *STEP, "settled") if any(key.startswith(f"{name}/") for key in summary)]
     stepped = any(summary[f"settled/{axis}"] is not None for axis in axes)
 
@@ -178,18 +175,18 @@ def to_text(
         return [_cell(v, factor, "never" if n else "-") for v, n in zip(values, never, strict=True)]
 
     lines = [title] if title else []
-    for some in (axes[k : k + beside] for k in range(0, len(axes), beside)):
-        lines.append(row("", some if shared else [f"{axis} [{units.get(axis, 'rad')}]" for axis in some]))
-        for name in (*errors, *(steps if stepped else ())):
-            words, unit = (last if name == "steady_state_error" else WORDS[name][0]), WORDS[name][1]
-            unit, factor = shared if name in TRACKING else unit, 100.0 if name == "settled" else 1.0
-            if unit == SECONDS.name:
-                times = duration_unit(max((summary[f"{name}/{axis}"] or 0.0 for axis in some), default=0.0))
-                unit, factor = times.name, 1 / times.seconds
-            lines.append(row(f"{words} [{unit}]" if unit else words, cells(name, some, factor)))
-    for some in (inputs[k : k + beside] for k in range(0, len(inputs), beside)):
-        lines.append(row("", some))
-        lines += [row("{} [{}]".format(*WORDS[name]), cells(name, some)) for name in CONTROL]
+    if axes:
+        lines.append(row("", axes if shared else [f"{axis} [{units.get(axis, 'rad')}]" for axis in axes]))
+    for name in (*errors, *(steps if stepped else ())) if axes else ():
+        words, unit = (last if name == "steady_state_error" else WORDS[name][0]), WORDS[name][1]
+        unit, factor = shared if name in TRACKING else unit, 100.0 if name == "settled" else 1.0
+        if unit == SECONDS.name:
+            times = duration_unit(max(summary[f"{name}/{axis}"] or 0.0 for axis in axes))
+            unit, factor = times.name, 1 / times.seconds
+        lines.append(row(f"{words} [{unit}]" if unit else words, cells(name, axes, factor)))
+    if inputs:
+        lines.append(row("", inputs))
+        lines += [row("{} [{}]".format(*WORDS[name]), cells(name, inputs)) for name in CONTROL]
     others = [name for name in _columns(summary, "least") if name in units][:MOST]
     lines += [row("not tracked", ("least", "most"))] * bool(others)
     lines += [row(f"{n} [{units[n]}]", [_cell(summary[f"{end}/{n}"]) for end in ("least", "most")]) for n in others]
