@@ -9,17 +9,13 @@ from cli import command
 @command("report")
 def main(cfg: Any) -> None:
     """Build the report from the tables of a folder and the runs in it."""
-    from omegaconf import OmegaConf
-    from settings import read_config
-
-    from dynasindy.viz.report import Results, build
+    from dynasindy.viz.report import build
 
     results = Path(cfg.results)
     files = sorted(results.glob("runs/*/config.yaml"))
     if not files and not any(results.glob("*.csv")):
         raise ValueError(f"{results} holds no run and no table; give results=FOLDER of tables, and runs in FOLDER/runs")
-    settings = {file.parent.name: OmegaConf.to_container(read_config(file)) for file in files}
-    page, *_ = build(Results(results, settings), Path(cfg.output))
+    page, *_ = build(results, Path(cfg.output))
     print(f"{page}, from {len(files)} saved run{'s' * (len(files) != 1)}")
 
 

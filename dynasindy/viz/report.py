@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -20,10 +19,11 @@ import matplotlib
 import numpy as np
 import pandas as pd
 import torch
+import yaml
 from matplotlib.figure import Figure
 
 from dynasindy.evaluation.ablation import CURVES, TABLE, Level, interquartile_mean, markdown, read_ablation
-from dynasindy.safe_io import escape_markdown, read_json, reading, write_text
+from dynasindy.safe_io import escape_markdown, read_json, read_text, reading, write_text
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.world_model import open_loop
 from dynasindy.systems.transitions import Transitions
@@ -105,49 +105,39 @@ Section = list[tuple[str, _Part]]
 """The parts of a section, each with its case of plant and experiment."""
 
 
-@dataclass(frozen=True)
-class Results:
-    """The folder of results.
-
-    Attributes:
-        folder: Tables as CSV files, and `runs/` with saved runs.
-        settings: Resolved configuration of each saved run, by name.
-    """
-
-    folder: Path
-    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-
-    def run(self, system: str, experiment: str, setting: str = "rollouts_800") -> Path:
-        """Return the folder of an ablation's setting; where the experiment is `gradient`, that of the main job.
-
-        Raises:
-            FileNotFoundError: It is not saved.
-        """
-        name = f"{system}_gradient" if experiment == "gradient" else f"{system}_{experiment}_{setting}"
-        folder = self.folder / "runs" / name
-        if name not in self.settings or not folder.is_dir():
-            raise FileNotFoundError(f"there is no saved run {name}")
-        return folder
-
-    def sources(self) -> list[str]:
-        """Return of each run by which command and commit it was made."""
-        origins = {name: read_json(self.folder / "runs" / name / "origin.json") for name in sorted(self.settings)}
-        return [f"`{name}`, made by `{of['command']}` at commit {of['commit']}" for name, of in origins.items()]
-
-
 _Made = Iterator[_Part]
 
 
-def build(results: Results, folder: Path) -> list[Path]:
+def _run(results: Path, system: str, experiment: str, setting: str = "rollouts_800") -> Path:
+    """Return the folder of an ablation's setting; where the experiment is `gradient`, that of the main job."""
+    name = f"{system}_gradient" if experiment == "gradient" else f"{system}_{experiment}_{setting}"
+    if not (results / "runs" / name / "config.yaml").is_file():
+        raise FileNotFoundError(f"there is no saved run {name}")
+    return results / "runs" / name
+
+
+def _settings(run: Path) -> dict[str, Any]:
+    """Return the resolved configuration of a run."""
+    found: dict[str, Any] = yaml.safe_load(read_text(run / "config.yaml"))
+    return found
+
+
+def build(results: Path, folder: Path) -> list[Path]:
     """Write `report.md` with `figures/`, and return the files.
+
+    Args:
+        results: Folder with tables as CSV files, and `runs/` with saved runs.
+        folder: Where to.
 
     Raises:
         DamagedFileError: A saved file is not what a section expects.
     """
     page = folder / "report.md"
-    with reading(results.folder):
+    with reading(results):
         sections = {name: build_section(results, name) for name in SECTIONS}
-        write_text(page, _markdown(sections, results.sources()))
+        origins = {file.parent.name: read_json(file) for file in sorted(results.glob("runs/*/origin.json"))}
+        made = [f"`{name}`, made by `{of['command']}` at commit {of['commit']}" for name, of in origins.items()]
+        write_text(page, _markdown(sections, made))
     pictures = [part for section in sections.values() for _, part in section if isinstance(part, _Picture)]
     with matplotlib.rc_context(SVG):
         return [page, *save_figures({part.name: part.figure for part in pictures}, folder / "figures", ["svg"])]
@@ -180,7 +170,7 @@ def _judgements(section: Section) -> str:
     return markdown(["the paper", *cases], table) if table else ""
 
 
-def build_section(results: Results, name: str) -> Section:
+def build_section(results: Path, name: str) -> Section:
     """Build a section from what is saved of each case; where something is missing, a line says so.
 
     Raises:
@@ -217,21 +207,21 @@ def _verdict(section: Section) -> list[str]:
     return [words, markdown(["what the paper claims, in our words", *(_case(*case) for case in CASES)], rows)]
 
 
-def _training(results: Results, plant: str, experiment: str) -> _Made:
-    run = results.run(plant, experiment)
+def _training(results: Path, plant: str, experiment: str) -> _Made:
+    run = _run(results, plant, experiment)
     table = read_table(run / "data/excitation.csv")
-    substeps = int(results.settings[run.name]["env"]["substeps"])
+    substeps = int(_settings(run)["env"]["substeps"])
     samples, step = len(table) * substeps, (table["time"][1] - table["time"][0]) / substeps
     figure = training_data(table["time"], table[STATES], table[INPUTS], SIGNATURE, f"Training data of {plant}")
     caption = f"What the first model of `{plant}` was fitted to: {samples} samples, {step:.3g} s apart, and the inputs."
     yield _Picture(f"training_data_{plant}", figure, caption)
 
 
-def _model_learning(results: Results, plant: str, experiment: str) -> _Made:
-    run = results.run(plant, experiment)
+def _model_learning(results: Path, plant: str, experiment: str) -> _Made:
+    run = _run(results, plant, experiment)
     table = read_table(run / "gate.csv")
     episode, error = array(table["episode"]), array(table["reward_error"])  # not finite where the replay ran away
-    opened, below = episode[table["open"] == 1], float(results.settings[run.name]["gate"]["open_below"])
+    opened, below = episode[table["open"] == 1], float(_settings(run)["gate"]["open_below"])
     worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
     first, last, most = (f"{error[k]:.2g} in episode {episode[k]:.0f}" for k in (0, -1, worst))
     trusted = f"trusted from episode {opened[0]:.0f}" if len(opened) else "never trusted"
@@ -243,9 +233,9 @@ def _model_learning(results: Results, plant: str, experiment: str) -> _Made:
     yield _Picture(f"model_learning_{plant}_{experiment}", figure, caption)
 
 
-def _states(results: Results, plant: str, experiment: str, episode: str) -> _Made:
+def _states(results: Path, plant: str, experiment: str, episode: str) -> _Made:
     """Judge the open-loop prediction of the first or the last real episode, and draw it."""
-    run = results.run(plant, experiment)
+    run = _run(results, plant, experiment)
     table = read_table(run / f"data/prediction_{episode}_episode.csv")
     real, model = array(table[STATES]), array(table[[f"predicted_{name}" for name in STATES]])
     when = "before" if episode == "first" else "after"
@@ -262,12 +252,12 @@ def _states(results: Results, plant: str, experiment: str, episode: str) -> _Mad
     x, u = (torch.tensor(array(table[names])) for names in (STATES, INPUTS))
     dt = float(table["time"][1] - table["time"][0])
     data = Transitions(x[:-1], u[:-1], x[1:], dt, torch.zeros(len(x) - 1, dtype=torch.int64))
-    predicted = open_loop(SindyModel.load(run / "model.json"), data, results.settings[run.name]["env"]["substeps"])
+    predicted = open_loop(SindyModel.load(run / "model.json"), data, _settings(run)["env"]["substeps"])
     yield _judge_model("so they are when the chirp is applied again", x[1:].numpy(), predicted.numpy())
 
 
-def _coefficients(results: Results, plant: str, experiment: str) -> _Made:
-    run, true = results.run(plant, experiment), _published_coefficients()
+def _coefficients(results: Path, plant: str, experiment: str) -> _Made:
+    run, true = _run(results, plant, experiment), _published_coefficients()
     model: Coefficients = read_json(run / "model.json")["coefficients"]
     truth, ours = (
         {(state, name): value for state, row in one.items() for name, value in row.items()} for one in (true, model)
@@ -294,10 +284,10 @@ def _cell(ours: float | None, true: float | None) -> str:
     return ("0" if ours is None else f"{ours:.5g}") + ("" if true is None else f" ({true:.5g})")
 
 
-def _rewards(results: Results, plant: str, experiment: str) -> _Made:
+def _rewards(results: Path, plant: str, experiment: str) -> _Made:
     rows, runs = (
         table[(table["system"] == plant) & (table["experiment"] == experiment)]
-        for table in (read_ablation(results.folder / name) for name in (CURVES, TABLE))
+        for table in (read_ablation(results / name) for name in (CURVES, TABLE))
     )
     rows = rows[rows["setting"].isin([*SETTINGS])]
     if rows.empty or runs.empty:
@@ -335,8 +325,8 @@ def _rewards(results: Results, plant: str, experiment: str) -> _Made:
     yield _Picture(f"average_rewards_{plant}_{experiment}", average_rewards(curves, title), caption)
 
 
-def _steps(results: Results, plant: str, experiment: str) -> _Made:
-    runs = {words: results.run(plant, experiment, name) for name, words in SETTINGS.items()}
+def _steps(results: Path, plant: str, experiment: str) -> _Made:
+    runs = {words: _run(results, plant, experiment, name) for name, words in SETTINGS.items()}
     _, figure = _draw_tracking(runs, "step", f"Step tracking: plant {plant}, experiment {experiment}")
     scores = {words: read_json(run / "metrics.json")["evaluation"] for words, run in runs.items()}
     for name, axis in AXES.items():
@@ -349,13 +339,13 @@ def _steps(results: Results, plant: str, experiment: str) -> _Made:
         smallest = LEVEL >= error[MANY] < min(error[NONE], error[SOME])
         statement = f"{axis}: 800 rollouts have the smallest steady-state error"
         yield _judge(statement, EXACT, words, smallest, planned <= FINE)
-    caption = f"A step on `{plant}`, after {results.settings[runs[MANY].name]['train']['episodes']} episodes."
+    caption = f"A step on `{plant}`, after {_settings(runs[MANY])['train']['episodes']} episodes."
     yield _Picture(f"step_{plant}_{experiment}", figure, caption)
 
 
-def _wave(results: Results, plant: str, experiment: str, shape: str) -> _Made:
+def _wave(results: Path, plant: str, experiment: str, shape: str) -> _Made:
     settings = ("rollouts_800", "rollouts_0")
-    runs = {SETTINGS[name]: results.run(plant, experiment, name) for name in settings}
+    runs = {SETTINGS[name]: _run(results, plant, experiment, name) for name in settings}
     tables, figure = _draw_tracking(runs, shape, f"{shape.capitalize()} wave: plant {plant}, experiment {experiment}")
     time, target, output = (array(tables[MANY][names]) for names in ("time", REFERENCES, TRACKED))
     if shape == "sine":
@@ -368,7 +358,7 @@ def _wave(results: Results, plant: str, experiment: str, shape: str) -> _Made:
         words = f"{{:.3g}} rad over the last {SETTLED:g} s of each level of {{:.3g}} rad"
     for axis, error, size in zip(AXES.values(), errors, np.abs(target).max(0), strict=True):
         yield _judge(f"{axis}: {statement}", WAVES, words.format(error, size), bool(error < FOLLOWS * size))
-    caption = f"The {shape} wave on `{plant}`, after {results.settings[runs[MANY].name]['train']['episodes']} episodes."
+    caption = f"The {shape} wave on `{plant}`, after {_settings(runs[MANY])['train']['episodes']} episodes."
     yield _Picture(f"{shape}_{plant}_{experiment}", figure, caption)
 
 
@@ -383,8 +373,8 @@ def _draw_tracking(runs: Mapping[str, Path], scenario: str, title: str) -> tuple
     return tables, tracking(held[first]["time"], tables[first][REFERENCES], outputs, inputs, title=title)
 
 
-def _gradient_run(results: Results, plant: str, scenario: str) -> _Made:
-    run = results.run(plant, "gradient")
+def _gradient_run(results: Path, plant: str, scenario: str) -> _Made:
+    run = _run(results, plant, "gradient")
     title = f"{scenario.capitalize()}, policy of the main job: plant {plant}"
     _, figure = _draw_tracking({controller_name("gradient"): run}, scenario, title)
     seconds = read_json(run / "metrics.json")["cost"]["plant_seconds"]

@@ -12,7 +12,6 @@ import torch
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Xi
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.viz.report import Results
 
 STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
 ERRORS = {"rollouts_0": 0.2, "rollouts_400": 0.05, "rollouts_800": 0.01}
@@ -69,11 +68,12 @@ def write_run(folder: Path, error: float) -> None:
     found = torch.linalg.lstsq(functions / size, Xi()(x, u)).solution  # what the plant is made of
     model.set_coefficients(found.where(found.abs() > 1e-4, 0.0) / size[:, None])
     model.save(folder / "model.json")
+    (folder / "config.yaml").write_text(json.dumps(SETTINGS))
     (folder / "origin.json").write_text(json.dumps({"command": "python scripts/x.py", "commit": "abc1234"}))
 
 
 @pytest.fixture(scope="session")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("docs") / "results"
     for name, error in ERRORS.items():
         write_run(folder / "runs" / f"xi_dyna_{name}", error)
@@ -91,15 +91,15 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
     ends = [f"evaluated_steady_state_error/{name}" for name in STATES[:2]]
     rows = [[*row, ERRORS[row[2]] * (1 + 0.001 * row[3]), 0.5 * ERRORS[row[2]]] for row in rows]
     table(folder / "ablation_curves.csv", [*key, "episode", "evaluated_return", *ends], rows)
-    return Results(folder, {f"xi_dyna_{name}": SETTINGS for name in ERRORS})
+    return folder
 
 
 @pytest.fixture
-def empty(tmp_path: Path) -> Results:
-    return Results(tmp_path)
+def empty(tmp_path: Path) -> Path:
+    return tmp_path
 
 
 @pytest.fixture
-def copied(results: Results, tmp_path: Path) -> Results:
+def copied(results: Path, tmp_path: Path) -> Path:
     """The results in a folder of the test's own, to change what is there."""
-    return Results(shutil.copytree(results.folder, tmp_path / "results"), dict(results.settings))
+    return shutil.copytree(results, tmp_path / "results")
