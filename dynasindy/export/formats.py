@@ -6,11 +6,9 @@ SymPy expressions are in `dynasindy.sindy.pysindy_interchange.to_sympy`.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from typing import Any
 
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.codegen import comment, formulas, right_sides
+from dynasindy.sindy.codegen import comment, right_sides
 from dynasindy.sindy.pysindy_interchange import to_sympy
 from dynasindy.systems.machine import Program
 
@@ -56,20 +54,6 @@ def latex_source(model: SindyModel) -> str:
         left = Symbol(rf"\dot{{{name}}}" if model.step is None else f"{{{name}}}[k+1]")
         lines.append(multiline_latex(left, right.xreplace(shown), 3, "align*"))
     return "\n".join(lines) + "\n"
-
-
-def field_of(model: SindyModel, calls: Mapping[str, Any]) -> Callable[[Any, Any], list[Any]]:
-    """Return dx/dt of a model as a function of the places of `x` and `u`, which may hold any kind of number.
-
-    Args:
-        model: The model.
-        calls: What is called for each of `dynasindy.systems.tangents.FORMULA_FUNCTIONS`.
-    """
-    scope = dict(calls)
-    # The text is made of numbers, places and the formulas of the library's functions: no word of a file is in it.
-    exec(compile(_python(formulas(model)), "<exported model>", "exec"), scope)
-    field: Callable[[Any, Any], list[Any]] = scope["field"]
-    return field
 
 
 def _python(found: Program, word: str = "dx") -> str:

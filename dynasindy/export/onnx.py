@@ -30,20 +30,12 @@ from torch.overrides import TorchFunctionMode
 
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlLaw, Memory
-from dynasindy.export.formats import field_of
 from dynasindy.safe_io import replace_file
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Altered
 
 OPSET, FORMAT = 17, 8
 """Versions of the operators and of the file, which runtimes since 2022 read."""
-
-CALLS: dict[str, Any] = {
-    **{name: getattr(torch, name) for name in ("sin", "cos", "exp", "tanh", "sqrt", "sign", "square")},
-    "fabs": torch.abs,
-    "larger": lambda a, b: torch.maximum(*(torch.as_tensor(value, dtype=torch.float64) for value in (a, b))),
-}
-"""What formulas call."""
 
 
 def controller_onnx(controller: Controller, path: Path) -> None:
@@ -140,8 +132,7 @@ class _Written(Altered):
 
     def __init__(self, model: SindyModel) -> None:
         super().__init__(model)
-        self.field = field_of(model, CALLS)
-        self.delay = model.delay
+        self.model, self.delay = model, model.delay
 
     @property
     def followers(self) -> dict[int, int]:
@@ -150,8 +141,7 @@ class _Written(Altered):
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Compute rates of change, `(*batch, n_x)`."""
-        rates = self.field(x.unbind(-1), u.unbind(-1))
-        return torch.stack([rate + torch.zeros_like(x[..., 0]) for rate in rates], -1)
+        return self.model.library(x, u) @ self.model.coefficients
 
 
 class _Plain(TorchFunctionMode):

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 import sympy
-import torch
-from controllers import HOSTILE, pendulum_model, rotor_controller
+from controllers import HOSTILE, pendulum_model
 
-from dynasindy.export.formats import casadi_source, field_of, latex_source
+from dynasindy.export.formats import casadi_source, latex_source
 from dynasindy.sindy.pysindy_interchange import to_sympy
 
 POINTS = np.random.default_rng(3).uniform(-1, 1, (10, 3))
@@ -16,16 +15,6 @@ def by_hand(x, u):
     """dx/dt of the pendulum of conftest."""
     theta, omega = x
     return [omega, 8 * u - 0.6 * omega - 2.5 * np.tanh(3.7 * theta) - 6 * np.sin(theta) - 0.04 * omega * abs(omega)]
-
-
-CALLS = {name: getattr(np, name) for name in ("sin", "cos", "exp", "tanh", "sqrt", "sign", "square", "fabs")}
-
-
-def test_plain_python_takes_all_functions_of_the_rotors():
-    model = rotor_controller().observer.model
-    x = np.array([0.1, -0.4, 0.3, 0.2, -2000.0, 1500.0])
-    expected = model(torch.from_numpy(x), torch.tensor([0.2, -0.3], dtype=torch.float64))
-    np.testing.assert_allclose(field_of(model, CALLS | {"larger": np.maximum})(x, [0.2, -0.3]), expected, rtol=1e-10)
 
 
 def test_the_file_for_casadi_runs_and_computes_the_equations():
