@@ -507,7 +507,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         f"{', '.join(columns)}: name columns of the file{did_you_mean(column, columns)}"
     ),
     "log.name": "a state or input is called {name!r}; allowed are names that begin with a letter, hold no signs of "
-    "arithmetic and differ: name it in <data.states> or <data.inputs>, as {{angle: HEADING}}",
+    "arithmetic and differ, each of a column of its own: name it in <data.states> or <data.inputs>, as "
+    "{{angle: HEADING}}",
     "log.time_order": "line {line}, column {column}: {after:.12g} s follows {before:.12g} s; allowed is increasing "
     "time: sort the rows or split the recordings, or give <data.dt> if the clock is coarser than the rows",
     "log.time_unit": "the time column {column!r} is in {unit!r}; allowed units are {units:list}, or none for s",

@@ -110,7 +110,7 @@ class LogReader:
             has none is estimated with the model.
 
     Raises:
-        ValueError: there is no path, a file or a column is named twice, or a setting is not allowed.
+        ValueError: there is no path, a column is named twice, or a setting is not allowed.
     """
 
     path: str | Sequence[str] | None
@@ -126,8 +126,6 @@ class LogReader:
                 f"there is no {setting('data.path')}; allowed is a file, or a list of some: give "
                 f"{setting('data.path')}=log.csv"
             )
-        if len(set(self.paths)) < len(self.paths):
-            raise ValueError(f"{setting('data.path')} names a file twice: {self}; give each file once")
         for key in ("states", "inputs"):
             given = getattr(self, key)
             if given is not None and not (given and len(set(given)) == len(given)):
@@ -168,17 +166,14 @@ class LogReader:
         """
         tables, left_out = [Table.read(Path(path)) for path in self.paths], list[Finding]()
         time, states, inputs = self._columns(tables, plant, left_out)
-        for name in (both := [*states, *inputs]):
-            if not NAME.fullmatch(name) or both.count(name) > 1:  # as a function or number in an equation, or twice
+        given_units, columns = (
+            {name: column.unit for name, column in states.items()},
+            [*states.items(), *inputs.items()],
+        )
+        names, headings = [name for name, _ in columns], [column.name for _, column in columns if column.name]
+        for name, column in columns:  # a function or number in an equation, or twice
+            if not NAME.fullmatch(name) or names.count(name) > 1 or headings.count(column.name) > 1:
                 raise LogError("log.name", file=str(self), name=name)
-        given_units = {name: column.unit for name, column in states.items()}
-        names = [c.name for c in (*states.values(), *inputs.values()) if c.name]
-        if double := [heading for heading in names if names.count(heading) > 1]:
-            taken = [name for name, c in {**states, **inputs}.items() if c.name == double[0]]
-            raise ValueError(
-                f"{self}: the column '{double[0]}' is taken as {' and as '.join(taken)}, and may be read once; leave "
-                f"one out: {correct_map()}"
-            )
         parts = [self._part(table, time, states, inputs, plant) for table in tables]
         _, states, inputs, *_ = parts[0]
         dt = _one_period(parts, self.dt)

@@ -183,8 +183,6 @@ def test_several_logs_are_read_and_a_column_may_stand_still_in_one_of_them(tmp_p
     assert found.signature.state_names == ("way",) and found.signature.input_names == ("u",)
     assert found.transitions.segment.bincount().tolist() == [99, 99]
     assert {each.code for each in found.findings} == {"log.time"}
-    with pytest.raises(ValueError, match="names a file twice"):
-        LoggedData([both[0], both[0]])
 
 
 def test_a_motion_that_is_fast_against_the_samples_does_not_run_away_in_the_prediction():
