@@ -75,7 +75,7 @@ class Event:
 
     def line(self, seconds: float | None = None) -> str:
         """Return the phase, how much of it is done and how long it took so far, in words."""
-        elapsed = "" if seconds is None else format_duration(round(seconds), digits=3, running=True)
+        elapsed = "" if seconds is None else format_duration(round(seconds), digits=3)
         details = ", ".join(filter(None, (self.count(), self.note, elapsed)))
         return f"{self.phase}: {details}" if details else self.phase
 

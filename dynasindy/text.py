@@ -17,31 +17,15 @@ class _TimeUnit(NamedTuple):
 SECONDS = _TimeUnit("s", 1.0)
 FROM: tuple[tuple[float, _TimeUnit], ...] = ((7200.0, _TimeUnit("h", 3600.0)), (600.0, _TimeUnit("min", 60.0)))
 """From which length on [s] a unit is used, the longest first; shorter ones are in seconds."""
-MANY = 10000.0
-"""Length [s] from which on one alone is never in seconds; below, 1000 s is plainer than 16.67 min."""
 
 
-def duration_unit(seconds: float, running: bool = False) -> _TimeUnit:
+def duration_unit(seconds: float) -> _TimeUnit:
     """Return the unit in which a length of time is given, the same in words, in figures and in animations.
 
     Args:
         seconds: The length [s]; one that is not finite has seconds.
-        running: Whether it goes on. Then only how long it is counts: from one moment to the next seconds would take the
-            place of minutes where they are rounder.
-
-    Returns:
-        The unit: of what does not run, seconds also where only they make a round number of it, as of 800 s.
     """
-    if seconds == float("inf"):
-        return SECONDS
-    unit = next((unit for least, unit in FROM if abs(seconds) >= least), SECONDS)
-    rough = not running and abs(seconds) < MANY and not _is_round(seconds / unit.seconds) and _is_round(seconds)
-    return SECONDS if rough else unit
-
-
-def _is_round(value: float) -> bool:
-    """Return whether three digits say all of a number; sums of control periods miss it by less than a millionth."""
-    return float(f"{value:.3g}") == float(f"{value:.6g}")
+    return next((unit for least, unit in FROM if least <= abs(seconds) < float("inf")), SECONDS)
 
 
 def unit_suffix(unit: str) -> str:
@@ -49,16 +33,15 @@ def unit_suffix(unit: str) -> str:
     return "" if unit in ("", "-") else f" {unit}"
 
 
-def format_duration(seconds: float, longest: float | None = None, digits: int = 4, running: bool = False) -> str:
+def format_duration(seconds: float, longest: float | None = None, digits: int = 4) -> str:
     """Return a length of time with its unit, `90 min`.
 
     Args:
         seconds: The length [s].
         longest: Length whose unit is used [s], where several lengths stand beside each other; by default its own.
         digits: Significant digits, at least those before the point.
-        running: Whether it goes on, as `duration_unit` takes it.
     """
-    unit = duration_unit(seconds if longest is None else longest, running)
+    unit = duration_unit(seconds if longest is None else longest)
     value = seconds / unit.seconds
     return f"{value:.0f} {unit.name}" if abs(value) >= 10 ** (digits - 1) else f"{value:.{digits}g} {unit.name}"
 

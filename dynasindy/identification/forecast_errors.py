@@ -32,7 +32,6 @@ from dynasindy.systems.base import Signature, turn_of
 from dynasindy.systems.equilibria import LocalModes, central_differences
 from dynasindy.systems.kalman import kalman_update
 from dynasindy.systems.transitions import Transitions
-from dynasindy.text import MANY
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 20)
 """Numbers of past samples to choose from."""
@@ -162,9 +161,8 @@ NUDGE, SLOPE = 1e-6, 1e-4
 """Steps of the differences by which start states are fitted, and by which they are filtered [ranges of the states]."""
 UNKNOWN, LEAST_ERROR = 0.1, 1e-6
 """Standard deviation of a state that no sensor sees where a filter begins, and least error of a sensor [ranges]."""
-
-HOUR = 3600.0
-"""An hour [s]."""
+HOUR, MANY = 3600.0, 10_000.0
+"""An hour [s], and the time from which on horizons are some hours [s]."""
 
 
 @dataclass(frozen=True)
