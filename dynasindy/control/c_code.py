@@ -12,7 +12,8 @@ import textwrap
 import timeit
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jinja2
@@ -59,27 +60,24 @@ def _block(lines: Iterable[str]) -> str:
     return "\n".join(f" * {part}".rstrip() for line in lines for part in wrap(comment(line)) or [""])
 
 
-def fill(template: str, /, packages: tuple[str, ...] = ("dynasindy.control",), **words: object) -> str:
-    """Return the text of a template of Jinja in `c` of some packages, whose statements are lines that begin with `@`.
+_TEMPLATES = jinja2.Environment(
+    loader=jinja2.FileSystemLoader([Path(__file__).parents[1] / room / "c" for room in ("control", "export")]),
+    undefined=jinja2.StrictUndefined,
+    line_statement_prefix="@",
+    keep_trailing_newline=True,
+)
+_TEMPLATES.filters |= {"number": number, "comment": comment, "block": _block, "floats": _floats}
+# An end that is not there is the largest number.
+_TEMPLATES.filters["bound"] = lambda value: number(np.nan_to_num(value))
+_TEMPLATES.filters["numbers"] = lambda values: ", ".join(map(number, values))
+
+
+def fill(template: str, /, **words: object) -> str:
+    """Return the text of a template of Jinja, whose statements are lines that begin with `@`.
 
     What is filled in is not looked at again, so that words of a file cannot open gaps of their own.
     """
-    return _templates(packages).get_template(template).render(words)
-
-
-@cache
-def _templates(packages: tuple[str, ...]) -> jinja2.Environment:
-    found = jinja2.Environment(
-        loader=jinja2.ChoiceLoader([jinja2.PackageLoader(package, "c") for package in packages]),
-        undefined=jinja2.StrictUndefined,
-        line_statement_prefix="@",
-        keep_trailing_newline=True,
-    )
-    found.filters |= {"number": number, "comment": comment, "block": _block, "floats": _floats}
-    # An end that is not there is the largest number.
-    found.filters["bound"] = lambda value: number(np.nan_to_num(value))
-    found.filters["numbers"] = lambda values: ", ".join(map(number, values))
-    return found
+    return _TEMPLATES.get_template(template).render(words)
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ def controller_fmu(controller: Controller, path: Path, version: int = 3) -> bool
         *((f"rate_{state}", f"{units[state]}/s", False) for state in controller.outputs),
         *((f"u_{word}", "1", True) for word in signature.input_names),
     )
-    text = _fill(
+    text = fill(
         "fmu_controller.c",
         name=name,
         dt=number(controller.dt),
@@ -119,7 +119,7 @@ def plant_fmu(model: SindyModel, path: Path, step: float, stops: Stops | None = 
         raise ValueError("an FMU of a plant has inputs, and this model has none; export it as C instead")
     step, ends = model.step or step, stops.rows(signature.n_x) if stops else []
     words = {"model": model, "found": formulas(model), "stops": ends, "past": PAST}
-    text = _fill("fmu_plant.c", **words, step=number(step), delay=number(model.delay)) + _interface(version)
+    text = fill("fmu_plant.c", **words, step=number(step), delay=number(model.delay)) + _interface(version)
     units = zip(signature.state_names, signature.state_units, strict=True)
     variables = (
         *((f"u_{word}", "1", False) for word in signature.input_names),
@@ -128,14 +128,10 @@ def plant_fmu(model: SindyModel, path: Path, step: float, stops: Stops | None = 
     return _write(name, step, variables, {f"{name}.c": text}, path, version)
 
 
-def _fill(template: str, **words: Any) -> str:
-    return fill(template, ("dynasindy.export", "dynasindy.control"), **words)
-
-
 def _interface(version: int) -> str:
     if version not in FINE:
         raise ValueError(f"FMI {version} is not written; allowed are 2 and 3")
-    return _fill("fmi.c", version=version, token=_GAP, fine=FINE[version], absent=ABSENT[version])
+    return fill("fmi.c", version=version, token=_GAP, fine=FINE[version], absent=ABSENT[version])
 
 
 def _write(
@@ -148,11 +144,11 @@ def _write(
     words: dict[str, Any] = {"name": name, "files": [file for file in sources if file.endswith(".c")]}
     about = {"step": repr(step), "variables": variables, "units": sorted({unit for _, unit, _ in variables})}
     more = {"version": version, "release": __version__, "token": token}
-    described = _fill("modelDescription.xml", **words, **about, **more)
+    described = fill("modelDescription.xml", **words, **about, **more)
     files = {"modelDescription.xml": described.encode()}
     files |= {f"sources/{file}": text.encode() for file, text in sources.items()}
     if version == 3:
-        files["sources/buildDescription.xml"] = _fill("buildDescription.xml", **words).encode()
+        files["sources/buildDescription.xml"] = fill("buildDescription.xml", **words).encode()
     built = compiler() is not None
     if built:
         system = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
