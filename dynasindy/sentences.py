@@ -137,7 +137,6 @@ FORMATS: dict[str, Callable[[Any], str]] = {
 
 
 def _named_unit(column: str, unit: str) -> str:
-    """Return the setting that says the unit of the time."""
     text = f"{column} [{unit}]"
     return f"'data.time=\"{text}\"'" if _words_of_commands else f"time={text!r}"
 
@@ -178,7 +177,6 @@ def _no_roles(
     left_out: Sequence[Finding],
     guess: Mapping[str, Any] | None = None,
 ) -> str:
-    """Say what a file lacks, and which columns may be what."""
     lacking = {
         "time": f"none of them is called {clock}",
         "inputs": "none that moves is called u, u_... or input_..., as inputs are",
@@ -193,7 +191,6 @@ def _no_roles(
 
 
 def _guess(time: str | None, **roles: Sequence[str]) -> str:
-    """Say what columns may be, in settings to copy."""
     hint = "" if time else " No column grows as time does: log it, or give <data.dt>, the time between two rows."
     given = roles if time in (None, "time") else {"time": time, **roles}
     words = [f"'data.{key}={_flow(v)}'" if _words_of_commands else f"{key}={v!r}" for key, v in given.items()]
@@ -211,7 +208,6 @@ def _rate_units(state: str, rate: str, factor: float, guessed: bool, unit: str =
 
 
 def _quiet(steps: Mapping[str, int], wanted: int, inputs: Mapping[str, float | None]) -> str:
-    """Say which states move too little, and how far inputs are to go."""
     which = " and ".join(f"{name}, which moves by {count} steps of its sensor" for name, count in steps.items())
     far = (
         f"{n}, which does not move" if by is None else f"{n} {max(by, 1.1):.2g} times as far"
@@ -261,7 +257,6 @@ def _tracked(
     seconds: float | None = None,
     moving: bool = False,
 ) -> str:
-    """Say how near a plant is held, and what becomes of states that are not tracked."""
     texts = []
     for name, each in outputs.items():
         both = " to ".join(dict.fromkeys(map(_percent, (each["least"], each["most"]))))  # one where they are alike
@@ -288,14 +283,12 @@ def _tracked(
 
 
 def _few(names: Iterable[str]) -> str:
-    """Return names, of many the first ones and how many there are beside them."""
     first = [*names]
     more = len(first) - FEW
     return ", ".join(first) if more <= 1 else f"{', '.join(first[:FEW])} and {more} more"
 
 
 def _percent(share: float | None) -> str:
-    """Return a share in percent."""
     if share is None or not math.isfinite(share):
         return "no number"
     return f"{float(f'{100 * share:.2g}'):,g} %"
@@ -320,14 +313,12 @@ PERIODS = {
 
 
 def _stability(**facts: Any) -> str:
-    """Return whether a loop is stable, and what becomes of it where it is not."""
     if not facts["unstable"]:
         return _fill(STABLE, {"neutral": False, **facts})
     return _fill(AT_REST if facts["at_rest"] else UNSTABLE, facts)
 
 
 def _margin(form: str) -> Callable[..., str]:
-    """Return what says a margin, its figure being in `form`."""
     least, limit = form.format("{value:.4g}"), form.format("{limit:g}")
 
     def _said(value: float, **facts: Any) -> str:

@@ -8,8 +8,6 @@ from typing import NamedTuple
 
 
 class _TimeUnit(NamedTuple):
-    """A unit of time: how it is written, and its length [s]."""
-
     name: str
     seconds: float
 

@@ -55,7 +55,6 @@ def _floats(values: Array) -> str:
 
 
 def _block(lines: Iterable[str]) -> str:
-    """Return lines of any words as lines within a comment of C."""
     wrap = partial(textwrap.wrap, width=110, subsequent_indent="      ", break_on_hyphens=False)
     return "\n".join(f" * {part}".rstrip() for line in lines for part in wrap(comment(line)) or [""])
 
@@ -129,7 +128,6 @@ def model_sources(model: SindyModel, name: str = "model") -> Sources:
 
 
 def _places(signature: Signature, name: str, outputs: Sequence[str] = ()) -> list[str]:
-    """Return enumerators of the places of states, inputs and references in their arrays."""
     return [
         f"    {name}_{kind}_{word} = {place}"
         for kind, names in (("x", signature.state_names), ("u", signature.input_names), ("r", outputs))
@@ -138,7 +136,6 @@ def _places(signature: Signature, name: str, outputs: Sequence[str] = ()) -> lis
 
 
 def _signature_words(signature: Signature, limits: Sequence[Sequence[float]] = ()) -> list[str]:
-    """Return lines that tell states and inputs with their units, and the least and largest of what is commanded."""
     ends = limits or signature.input_limits or (WHOLE,) * signature.n_u
     states = zip(signature.state_names, signature.state_units, signature.x_scale, strict=True)
     return [

@@ -403,7 +403,6 @@ class Controller:
         return found
 
     def _prepare(self) -> None:
-        """Compile the controller, where it can be, and note what calls have to know."""
         from dynasindy.control.c_code import Native, controller_sources
 
         self._native = None
@@ -416,7 +415,6 @@ class Controller:
         self._prepared = True
 
     def _numbers(self, what: str, given: Values, names: Sequence[str]) -> Array:
-        """Return numbers in the order of names."""
         if isinstance(given, Mapping) and (unknown := [name for name in given if name not in names]):
             allowed = self.measured if what == "measurement" else names
             near = did_you_mean(unknown[0], list(allowed))

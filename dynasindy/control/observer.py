@@ -430,7 +430,6 @@ class Observer:
         return x
 
     def _flow(self, x: Tensor, u: Tensor, seconds: float, steps: int) -> Tensor:
-        """Move states on under inputs that broadcast with them."""
         u = u.double().expand(*x.shape[:-1], u.shape[-1])
         believed: System = self.system
         if self.pushed:  # the pushes behind the states

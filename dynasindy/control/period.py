@@ -148,7 +148,6 @@ def _settles(env: ControlEnv, x: Tensor, u: Tensor, share: float = SETTLED) -> f
 
 
 def _two_digits(seconds: float) -> float:
-    """Return the place of the second digit of a time [s]."""
     return 10.0 ** (math.floor(math.log10(seconds)) - 1)
 
 

@@ -170,7 +170,6 @@ class Sensing(Transform):
         self.rng.set_state(state["rng"])
 
     def _blank(self, batch: torch.Size) -> TensorDict:
-        """Return what the observer holds, before anything was measured."""
         n, n_x, n_u = len(self.observer.scale), self.env.system.signature.n_x, self.env.system.signature.n_u
         doubles = {"mean": (n,), "covariance": (n, n), "nis": (1,)} | (
             {"shift": (n_x + n_u,)} if self.observer.pushed else {}

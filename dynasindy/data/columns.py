@@ -96,12 +96,10 @@ def _alike(name: str, units: Mapping[str, str]) -> list[str]:
 
 
 def _is_actuator(name: str, unit: str) -> bool:
-    """Tell whether a column is called as what acts on a plant is, and is not measured by its name or unit."""
     return bool(ACTUATOR.fullmatch(name)) and not _is_measured(name, unit)
 
 
 def _is_measured(name: str, unit: str) -> bool:
-    """Tell whether a column is measured by its name or unit."""
     return bool(MEASURED.search(name) or MEASURED_UNIT.fullmatch(unit))
 
 
@@ -398,7 +396,6 @@ HELD = 0.5
 
 
 def _chosen(columns: Collection[str], names: Collection[str], path: str, key: str) -> list[str]:
-    """Return the columns of some names or headings, of which a setting names one that there may not be."""
     found = {name: find_names(name, columns) for name in names}
     if absent := [split_unit(name)[0] for name in names if not found[name]]:
         raise LogError("log.absent_column", key=key, column=absent[0], path=path, columns=[*columns])
@@ -435,7 +432,6 @@ def find_clock(table: Table, time: str, named: Collection[str], dt: float | None
 
 
 def _is_regular(column: Array, within: float = 0.5) -> bool:
-    """Tell whether a column rises from row to row, by about the same in most of them."""
     steps = np.diff(column[np.isfinite(column)])
     return bool(len(steps) and (steps > 0).all() and (np.abs(steps / np.median(steps) - 1) < within).mean() > HELD)
 

@@ -141,7 +141,6 @@ def _fields(line: str, separator: str) -> list[str]:
 
 
 def _is_value(text: str) -> bool:
-    """Tell whether a text is a number, with a point or a comma for decimals, a date, or a lost value."""
     return bool(NUMBER.fullmatch(text) or text.lower() in LOST or DATE.fullmatch(text))
 
 

@@ -80,8 +80,6 @@ class Recording:
 
 
 class _Part(NamedTuple):
-    """Hold what one file gave: its columns, times [s], states and inputs, and what was found so far."""
-
     path: str
     states: dict[str, Column]
     inputs: dict[str, Column]
@@ -261,7 +259,6 @@ class LogReader:
     def _part(
         self, file: Table, time: str, states: dict[str, Column], inputs: dict[str, Column], plant: Signature | None
     ) -> _Part:
-        """Return one file as it is: times, states in their units, and inputs in theirs."""
         path, (clock, unit) = str(file.path), clock_of(file.headings, time)
         names = [clock, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
         table = file.select(names, self.dt)
@@ -495,7 +492,6 @@ def _between_jumps(t: Array, column: Array, jumps: NDArray[np.bool_], grid: Arra
 
 
 def _one_period(parts: Sequence[_Part], dt: float | None) -> float:
-    """Return the sampling time of all files, and refuse files of which one could not be joined to the first."""
     periods = [_period_of_samples(part) if dt is None else dt for part in parts]
     units = [{name: column.unit for name, column in {**part.states, **part.inputs}.items()} for part in parts]
     for part, period, own in zip(parts, periods, units, strict=True):
@@ -534,7 +530,6 @@ def _long_gaps(x: Mapping[str, Array], segment: NDArray[np.int64], findings: lis
 
 
 def _conversions(columns: Mapping[str, Column]) -> list[Finding]:
-    """Return which columns were converted, and the map that keeps their units; nothing where none was."""
     changed = {
         name: unit
         for name, column in columns.items()

@@ -137,7 +137,6 @@ def _interface(version: int) -> str:
 def _write(
     name: str, step: float, variables: Sequence[Variable], texts: Mapping[str, str], path: Path, version: int
 ) -> bool:
-    """Write the archive of an FMU of a name, a period or step [s], variables in their order, and sources."""
     digest = hashlib.sha256("".join(texts.values()).encode()).hexdigest()
     token = "{" + str(uuid.uuid5(uuid.NAMESPACE_OID, digest)) + "}"
     sources = {file: text.replace(_GAP, token) for file, text in texts.items()}

@@ -57,7 +57,6 @@ def latex_source(model: SindyModel) -> str:
 
 
 def _python(found: Program, word: str = "dx") -> str:
-    """Return the text of `field(x, u)`."""
     what = "dx/dt of the states" if word == "dx" else "the states one step later"
     body = "".join(f"    {name} = {formula}\n" for name, formula in found.lines)
     head = f'def field(x, u):\n    """Return {what} as a list."""\n'

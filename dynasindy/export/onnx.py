@@ -86,8 +86,6 @@ def policy_onnx(controller: Controller, path: Path) -> None:
 
 
 class _Policy(nn.Module):
-    """The policy of a controller: observations `(*batch, n_o)` to actions `(*batch, n_u)`, single precision."""
-
     def __init__(self, controller: Controller) -> None:
         super().__init__()
         self.network = copy.deepcopy(controller.network).requires_grad_(False).float().cpu()

@@ -357,7 +357,6 @@ def table(forecasts: ForecastErrors, signature: Signature) -> list[str]:
 
 
 def _errors_by_horizon(forecasts: ForecastErrors, signature: Signature) -> dict[str, dict[str, float]]:
-    """Return the errors over each horizon, of the states that were measured, for a file."""
     seen = [i for i in range(signature.n_x) if not bool(torch.isnan(forecasts.held[:, i]).all())]
     kinds = {"": forecasts.model, "linear_": forecasts.linear, "held_": forecasts.held}
     return {
@@ -368,7 +367,6 @@ def _errors_by_horizon(forecasts: ForecastErrors, signature: Signature) -> dict[
 
 
 def _errors(model: SindyModel) -> list[str]:
-    """Return a line for each coefficient with its standard error, below a heading, or why there is no such error."""
     if model.covariance is None:
         why = "none of them was fitted"
         if bool((model.constraints.free & (model.coefficients != 0)).any()):

@@ -179,7 +179,6 @@ def sensor_resolution(column: Array, noise: float | None = None) -> float:
 
 
 def _noise(column: Array) -> float:
-    """Return the standard deviation of what no local cubic follows; NaN where nothing was measured."""
     known = interpolate_gaps(column)
     if known is None or len(known) < 8:
         return float("nan")

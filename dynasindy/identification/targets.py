@@ -120,7 +120,6 @@ def _held_within(
 
 
 def _short(value: float, extent: float) -> str:
-    """Return a number with as many digits as the extent of its targets asks for."""
     if not extent > 0:
         return f"{value:.{DIGITS}g}"
     places = DIGITS - 1 - math.floor(math.log10(extent))

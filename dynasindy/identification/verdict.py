@@ -74,7 +74,6 @@ def _predicted(forecasts: ForecastErrors) -> Tensor:
 
 
 def _names(signature: Signature, where: Tensor) -> list[str]:
-    """Return the names of states, `(n_x,)`."""
     return [name for name, true in zip(signature.state_names, where.tolist(), strict=True) if true]
 
 
@@ -211,12 +210,10 @@ def inputs_beyond_log(model: SindyModel, logged: Tensor, applied: Tensor) -> lis
 
 
 def _used(features: Sequence[Feature], coefficients: Tensor) -> list[Feature]:
-    """Return the functions whose coefficients `(n_features,)` are not zero."""
     return [features[k] for k in coefficients.nonzero().flatten().tolist()]
 
 
 def _variables(features: Sequence[Feature]) -> set[str]:
-    """Return the states and inputs that functions read."""
     return {name for feature in features for name in feature.variables}
 
 

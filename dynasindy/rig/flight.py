@@ -251,7 +251,6 @@ class _FlightLoop:
         return y
 
     def _check(self, y: Array | None) -> None:
-        """Look at a sample, None if it was lost."""
         n_x = self.wiring.signature.n_x
         if y is not None:
             self.missed, self.heard = 0, True

@@ -260,7 +260,6 @@ class Session:
         return flown
 
     def _tell_inputs(self, signature: Signature) -> None:
-        """Say what the numbers that the rig gets are in the units of its actuators."""
         for each in signature.own_inputs():
             self.tell(f"  {each}; the rig gets the controller's number, and has to turn it into its own unit")
 
