@@ -158,7 +158,10 @@ class Recipe:
         Raises:
             ValueError: A part refuses its settings, there is no such device, the excitation is longer than an episode,
                 or the storages do not fit into memory.
+            TypeError: The plant is none.
         """
+        if not isinstance(self.system, System):
+            raise TypeError(f"system is a {type(self.system).__name__}; name a class of plants by system._target_")
         seeds = torch.randint(2**31, (6,), generator=torch.Generator().manual_seed(self.seed)).tolist()
         signature = self.system.signature
         plant = self.env(system=self.system, task=self.task(signature=signature), seed=seeds[0])

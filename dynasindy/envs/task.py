@@ -213,6 +213,8 @@ class Tracking(Task):
             raise ValueError(f"error_scale must be positive, got {error_scale}; give it in ranges of the targets")
         if len(set(outputs)) < len(outputs):
             raise ValueError(f"the task tracks an output twice: {', '.join(outputs)}; name each once in plant.outputs")
+        if own := [name for name, rate in zip(outputs, rates, strict=False) if name == rate]:
+            raise ValueError(f"task.rates names '{own[0]}' as its own rate; name the state that is it in plant.rates")
         self.output_names = tuple(outputs)
         self.outputs = [signature.state_index(name, "task.outputs") for name in outputs]
         self.rated = [k for k, name in enumerate(rates) if name is not None]
