@@ -26,10 +26,9 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -46,8 +45,6 @@ from dynasindy.evaluation.scenarios import Policy, Scenario, step_references
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, wrong
 from dynasindy.identification.forecast_errors import forecast_errors, predict_from
-from dynasindy.identification.identify import before_fit
-from dynasindy.identification.log_fit import fit_log
 from dynasindy.identification.recording_diagnostics import (
     low_signal_states,
     resolution,
@@ -68,7 +65,7 @@ from dynasindy.identification.verdict import (
 )
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.plan_settings import LONGEST, find_task_equilibria, unheld
-from dynasindy.progress import reporting_as, say
+from dynasindy.progress import reporting_as
 from dynasindy.safe_io import checked
 from dynasindy.sentences import lines
 from dynasindy.sindy import Refinement, SindyModel
@@ -402,33 +399,6 @@ def _watching(model: SindyModel, sensors: Sensors, setup: ControlSetup, log: Sou
     observer = Observer(model, sensors, setup)
     observer.learn(y, u)
     return observer
-
-
-def model_of(source: Source | None, build: Callable[..., SindyModel], path: str | Path | None = None) -> SindyModel:
-    """Return the model of a file, or identify one and print what the fit says of itself.
-
-    A model that is fitted here may have a state more than the log, which follows an input or a measured state.
-
-    Args:
-        source: The log; None if there is none, and then there is a file.
-        build: Makes a model from a signature.
-        path: File of a model.
-
-    Raises:
-        ValueError: The file is damaged or of another plant.
-        TypeError: The world model is not sparse.
-    """
-    if path is not None or source is None:
-        model = SindyModel.load(str(path))
-        if source is not None:
-            source.with_states_of(model)  # refuses a model of another plant
-        return model
-    built = build(signature=source.signature)
-    if before := before_fit(built, source):
-        say(*lines(before))
-    found = fit_log(built, source)
-    say(found.report.to_text(), *(each.line("found") for each in found.content))
-    return found.model
 
 
 def log_report(model: SindyModel, prediction: Forecast) -> str:

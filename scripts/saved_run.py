@@ -32,6 +32,8 @@ from dynasindy.evaluation.check import thin_margin
 from dynasindy.evaluation.scenarios import Policy, Scenario
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, note, records
+from dynasindy.identification.identify import before_fit
+from dynasindy.identification.log_fit import fit_log
 from dynasindy.identification.recording_diagnostics import low_signal_findings
 from dynasindy.identification.source import PERIOD, Source, closest_period, rates_of
 from dynasindy.identification.targets import targets_like
@@ -41,7 +43,7 @@ from dynasindy.progress import say
 from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
 from dynasindy.sentences import command_word, lines
 from dynasindy.sindy import Oracle, SindyModel
-from dynasindy.workbench import damped, forecast, log_report, model_of, plan, refit_shortage
+from dynasindy.workbench import damped, forecast, log_report, plan, refit_shortage
 
 
 def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
@@ -141,11 +143,11 @@ def command_and_commit(job: DictConfig) -> dict[str, str]:
     return {"command": " ".join([program(job.job.config_name), *job.overrides.task]), "commit": commit or "unknown"}
 
 
-def prepare(cfg: DictConfig) -> tuple[dict[str, Any], Source | None, dict[str, Any], list[Finding]]:
+def prepare(cfg: DictConfig) -> tuple[dict[str, Any], Source | None, SindyModel, dict[str, Any], list[Finding]]:
     """Read the log of a config and build the parts of a plan; what cannot be is refused before the fit.
 
     Returns:
-        Settings of the planning, the log, what a plan is made of by group, and what was found.
+        Settings of the planning, the log, its model, what a plan is made of by group, and what was found.
     """
     if (device := cfg.get("device", "cpu")) != "cpu":
         raise ValueError(f"device is {device}; allowed is cpu where a log or a model is planned on: leave it out")
@@ -171,9 +173,11 @@ def prepare(cfg: DictConfig) -> tuple[dict[str, Any], Source | None, dict[str, A
     model = SindyModel.load(str(cfg.model)) if given else parts["world_model"](signature=source.signature)
     parts["task"](signature=model.signature)
     if source is None:
-        return planning, None, parts, []
+        return planning, None, model, parts, []
+    if given:
+        source.with_states_of(model)  # refuses a model of another plant
     others = [i for i, name in enumerate(source.signature.state_names) if name not in cfg.plant.outputs]
-    return planning, source, parts, low_signal_findings(source.training, source.signature, others)
+    return planning, source, model, parts, low_signal_findings(source.training, source.signature, others)
 
 
 def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
@@ -182,14 +186,19 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
     Returns:
         Whether it is as good as the config wants it to be.
     """
-    planning, source, parts, findings = prepare(cfg)
+    planning, source, model, parts, findings = prepare(cfg)
     folder, words, read = Path(cfg.folder), HydraConfig.get().overrides.task, _digests(cfg)
     figures = output_folder(folder, "figures")
     if swept and _finished(folder, read):
         say(f"finished before: {folder}")
         return True
     say(f"Run folder: {folder}", *lines(findings))
-    model = model_of(source, parts["world_model"], cfg.model)
+    if source is not None and cfg.model is None:
+        if before := before_fit(model, source):
+            say(*lines(before))
+        fitted = fit_log(model, source)
+        say(fitted.report.to_text(), *(each.line("found") for each in fitted.content))
+        model = fitted.model
     if "rates" not in cfg.plant:  # nor where they are to be given
         OmegaConf.update(cfg, "plant.rates", damped(cfg.plant.outputs, rates_of(model)), force_add=True)
     task = instantiate(cfg.task, _convert_="all")(signature=model.signature)
