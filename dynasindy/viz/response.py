@@ -29,10 +29,6 @@ MOST = 10
 """States that a figure has, those that are tracked first; all of these are in it."""
 LATE = 0.02
 """Share of the planned time that is left free beside what was flown, for the line at which a flight ended."""
-PAID = 0.01
-"""Half width of the band that is paid for [target ranges]."""
-LEAST = 1e-5
-"""Errors below this part of the band that is paid for are not drawn: ten millionths of a radian for the twin rotor."""
 
 
 @style.styled
@@ -98,7 +94,7 @@ def tracking(
 
 @style.styled
 def _error_fan(evaluation: Evaluation, title: str) -> Figure:
-    """Draw the absolute error over all references: median, middle half, 5 to 95 %, and the band that is paid for."""
+    """Draw the absolute error over all references: median, middle half, 5 to 95 %."""
     seconds, names, units = style.array(evaluation.time), evaluation.output_names, [*evaluation.units.values()]
     error = np.abs(style.array(evaluation.outputs) - style.array(evaluation.references))
     p05, p25, p50, p75, p95 = np.quantile(error, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0)
@@ -107,13 +103,8 @@ def _error_fan(evaluation: Evaluation, title: str) -> Figure:
         axis.fill_between(seconds, p05[:, i], p95[:, i], color=style.BLUE, alpha=0.15, lw=0, label="5 to 95 %")
         axis.fill_between(seconds, p25[:, i], p75[:, i], color=style.BLUE, alpha=0.3, lw=0, label="middle half")
         axis.plot(seconds, p50[:, i], color=style.BLUE, label="median")
-        band = PAID * box
-        text = f"the reward pays a bonus below {band:.3g}{f' {unit}' * (unit != '-')}"
-        axis.axhline(band, color=style.BLACK, linestyle=":", linewidth=1.0, label=text)
         axis.set_yscale("log")
-        # The wide band stays inside nearly all the time; what is less, or zero, leaves the axis.
-        least = float(np.quantile(np.append(p05[p05[:, i] > 0, i], band), 0.1))
-        axis.set_ylim(bottom=0.5 * max(least, LEAST * band))
+        axis.set_ylim(bottom=1e-5 * box)
         axis.set_ylabel(f"|error| of {style.label(name, unit)}")
     style.legend(axes[0], below=True)
     style.time_axis(figure, style.time_span(seconds))
