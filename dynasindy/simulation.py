@@ -207,7 +207,6 @@ def excite(
 
 
 def _rows(targets: Targets, outputs: Sequence[str]) -> list[list[float]]:
-    """Return the targets of each run, in the order of the outputs."""
     with suppress(TypeError, ValueError):  # lists of different lengths, or no numbers
         if isinstance(targets, Mapping) and {*targets} == {*outputs}:
             targets = np.stack(np.broadcast_arrays(*(targets[name] for name in outputs)), -1)

@@ -288,7 +288,6 @@ class TD3:
             raise self._diverged(f"{what} is {loss.item()}")
 
     def _diverged(self, what: str) -> Diverged:
-        """Return the error that learning ended in, with what can be done about it."""
         s = self.settings
         return Diverged(
             f"policy learning: {what} at update {self.updates} (critic_lr={s.critic_lr}, actor_lr={s.actor_lr}, "

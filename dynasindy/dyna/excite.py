@@ -172,7 +172,6 @@ def excitation_findings(parts: PlantComponents, rows: TensorDict) -> list[Findin
 
 
 def _within(x: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Return whether states `(*batch, n_x)` lie within their limits, bool `(*batch,)`."""
     return ((x >= low) & (x <= high)).all(-1)
 
 

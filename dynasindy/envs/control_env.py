@@ -310,11 +310,9 @@ class ControlEnv(EnvBase):
 
     @torch.no_grad()
     def _require_rates(self) -> None:
-        """Refuse a system that does not give one rate of change per state, in batches of any shape."""
         rates_at_start(self.system, self._begins)
 
     def _require_start_within(self) -> None:
-        """Refuse bounds that exclude where episodes begin."""
         if isinstance(self.task, Tracking):
             self.system.signature.require_start_within(self.task.start_ends, self.task.bounds, group="task")
 

@@ -109,7 +109,6 @@ def read_ablation(path: Path, key: Sequence[str] = KEY) -> pd.DataFrame:
 
 
 def _write(path: Path, table: pd.DataFrame) -> None:
-    """Write a table whole and at once."""
     write_text(path, table.to_csv(index=False, float_format="%.7g", lineterminator="\n"))
 
 
@@ -154,7 +153,6 @@ def _cell(values: pd.Series[float]) -> str:
 
 
 def _read_run(folder: Path, root: Path, level: Level) -> tuple[dict[str, Any], pd.DataFrame]:
-    """Return the row of a run and its evaluated episodes."""
     with reading(folder):
         metrics, origin = read_json(folder / "metrics.json"), folder / "origin.json"
         system, experiment, *words, _ = folder.relative_to(root).parts

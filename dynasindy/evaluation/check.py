@@ -512,7 +512,6 @@ def _time_constant(radius: float, dt: float) -> float:
 
 
 def _margins(found: Check, limits: Thresholds) -> list[Finding]:
-    """Return the least margins over inputs and targets."""
     dt, names = found.loop.dt, found.loop.signature.input_names
     rows = [(k, i, margins) for k, target in enumerate(found.margins) for i, margins in enumerate(target)]
     kinds = {

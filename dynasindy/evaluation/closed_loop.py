@@ -284,7 +284,6 @@ class ClosedLoop:
         return _Moved(torch.cat([moved[name] for name in self.parts], -1), memory.covariance, u)
 
     def _measured(self, z: Tensor) -> Tensor:
-        """Return the measurement that arrives now, noise apart."""
         ways = [z[..., self.parts[name]] for name in ("late", "x")]
         return torch.cat(ways, -1)[..., : self.signature.n_x]
 

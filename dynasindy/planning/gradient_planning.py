@@ -375,7 +375,6 @@ class GradientPlanning(Planner):
         return float((beyond | ~whole.alive).any(0).double().mean()) if bool(task.bounds.isfinite().any()) else 0.0
 
     def _limited(self, network: Network) -> Network:
-        """Return a policy whose inputs keep the task's limits."""
         task = self.env.task
         return (lambda observation: task.limit(network(observation))) if task.limited else network
 
@@ -464,7 +463,6 @@ class GradientPlanning(Planner):
 
 
 def _optimizer(network: nn.Module, lr: float) -> torch.optim.Adam:
-    """Return a fresh optimiser of the policy."""
     return torch.optim.Adam(network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
 
 

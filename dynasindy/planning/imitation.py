@@ -108,7 +108,6 @@ def hold(planner: GradientPlanning, rests: Equilibria, keep: bool | None = None)
 
 
 def _regulators(env: ControlEnv, rests: Equilibria) -> list[Regulator]:
-    """Return regulators of the model, from gentle to strong ones."""
     found = [Regulator.of(env, rests, weight) for weight in LADDER]
     return [law for law in found if law is not None]
 

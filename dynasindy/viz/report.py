@@ -117,7 +117,6 @@ def _run(results: Path, system: str, experiment: str, setting: str = "rollouts_8
 
 
 def _settings(run: Path) -> dict[str, Any]:
-    """Return the resolved configuration of a run."""
     found: dict[str, Any] = yaml.safe_load(read_text(run / "config.yaml"))
     return found
 
@@ -363,7 +362,6 @@ def _wave(results: Path, plant: str, experiment: str, shape: str) -> _Made:
 
 
 def _draw_tracking(runs: Mapping[str, Path], scenario: str, title: str) -> tuple[dict[str, pd.DataFrame], Figure]:
-    """Return the trajectories that runs saved of a scenario, and their figure."""
     step = scenario == "step"
     file = "data/step_response.csv" if step else f"evaluation/{scenario}.csv"
     tables = {words: read_table(run / file) for words, run in runs.items()}
@@ -411,7 +409,6 @@ def _published_coefficients() -> Coefficients:
 
 
 def _at_levels(time: Array, target: Array, y: Array) -> float:
-    """Return the mean error at the end of each level."""
     errors = []
     for first, end in pairwise([0, *(np.flatnonzero(np.diff(target)) + 1).tolist(), len(target)]):
         late = np.arange(first, end)[time[first:end] > time[end - 1] - SETTLED]
