@@ -21,8 +21,6 @@ MARGIN = 0.06
 """Room above and below what is drawn, of the plant's own range."""
 LOST = 10.0
 """A prediction ends where it is off by more than this part of the range."""
-LEAST = 0.001
-"""Error below which a prediction is as good as any [% of the range of what is predicted]."""
 GAP = "gap: samples missing or left out"
 MOST = 50
 """More gaps than these are not marked, as the marks would hide the data."""
@@ -177,5 +175,4 @@ def _fit(real: style.Array, predicted: style.Array, whole: str) -> str:
     percent = 100 * rmse / wide
     cut = (predicted.max() - real.max() > BEYOND * wide) or (real.min() - predicted.min() > BEYOND * wide)
     digits = ".0f" if 99.5 <= percent < 1e6 else ".2g"
-    words = f"below {LEAST:g}" if percent < LEAST else format(percent, digits)
-    return f"RMSE {words} % of {whole}" + ", cut off" * bool(cut)
+    return f"RMSE {percent:{digits}} % of {whole}" + ", cut off" * bool(cut)

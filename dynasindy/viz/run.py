@@ -76,8 +76,7 @@ def draw_run(folder: Path, signature: Signature, formats: tuple[str, ...] = ("pn
     tracked = [name.removeprefix("reference_") for name in response if name.startswith("reference_")]
     outputs, held = [*tracked, *(name for name in names if name not in tracked)], periods(response, inputs)
     reference = response[[f"reference_{name}" for name in tracked]] if tracked else None
-    step = reference is not None and bool((reference == reference.iloc[0]).all(axis=None))
-    title = f"{'Step response' if step else 'Response'}\n{which}".strip()  # which episode of how many it is
+    title = f"Response\n{which}".strip()  # which episode of how many it is
     y, u = {"policy": response[outputs]}, {"policy": held[inputs]}
     figures["step_response"] = tracking(held["time"], reference, y, u, outputs, signature, title)
     return style.save_figures(figures, folder / "figures", formats)
