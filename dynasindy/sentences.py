@@ -624,8 +624,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "fitted to the others{much:?(a smaller <excitation.amplitude>, or another <excitation.offset>, leaves more)}",
     "run.ended": "the environment itself ended {runs} of {total} runs; a plan keeps away from what ends them within "
     "{bounds:plant.bounds}",
-    "run.better": "the trained policy is better than the untrained one{hardly:?(hardly)}: its return in scenario "
-    "'{scenario}' is {trained:.6g}, the untrained policy's {untrained:.6g}",
+    "run.better": "the trained policy is better than the untrained one: its return in scenario '{scenario}' is "
+    "{trained:.6g}, the untrained policy's {untrained:.6g}",
     "run.no_better": "no usable result: the trained policy's return in scenario '{scenario}' is {trained:.6g}, the "
     "untrained one's {untrained:.6g}; check plant and reward, or train longer{episodes:?and look in gate.csv}",
     "run.tracked": lambda controlled, **facts: f"{WORDS[controlled]}: {_tracked(**facts)}",

@@ -318,10 +318,6 @@ class Recorder(Callback):
         write_csv(self.folder / "data" / f"{name}.csv", headings, torch.cat([time_column, values], -1).tolist())
 
 
-HARDLY = 0.01
-"""Gain, as a share of the untrained policy's return, below which a policy is said to be hardly better."""
-
-
 class _RunVerdict(NamedTuple):
     """What a run's result is worth: whether the policy is better than the untrained one, and as `judge_control`."""
 
@@ -346,9 +342,7 @@ def judge_run(
     finite = math.isfinite(trained) and math.isfinite(untrained)
     facts: dict[str, Any] = {"scenario": metrics["scenario"], "trained": trained, "untrained": untrained}
     if usable := finite and trained > untrained:
-        share = (trained - untrained) / max(abs(untrained), 1e-300)
-        hardly = share < HARDLY
-        compared = (weak if hardly else note)("run.better", **facts, percent=100 * share, hardly=hardly)
+        compared = note("run.better", **facts)
     else:
         compared = wrong("run.no_better", **facts, episodes=bool(metrics.get("episodes", 1)))
     controlled, tracked = judge_control([TrackingCriteria(**metrics["held"])], within, grew=usable)
