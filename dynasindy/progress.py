@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import sys
-import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -40,8 +38,8 @@ COLOURS = {
     r"^WEAK(?=  )": "bold yellow",
 }
 """Words that have a colour on a terminal."""
-COMMAND = re.compile(r"\s*(?:PYTHONPATH=(?:'[^']*'|\S+) )?(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
-"""How a line begins that is meant to be copied into a shell."""
+COPIED = re.compile(r"\s*(?:\| |(?:PYTHONPATH=(?:'[^']*'|\S+) )?(?:dynasindy \w+|python scripts/\w+\.py)(?: |$))")
+"""How a line begins that is meant to be copied into a shell, or into a page."""
 
 
 class TimeIsUp(RuntimeError):
@@ -205,8 +203,7 @@ class Progress:
     def _write(self, line: str, key: tuple[bool, str] | None = None) -> None:
         """Write a line of a phase: above the bars, or to a file behind the counts of the phases around it."""
         if self.display is not None:
-            console = self.display.console
-            console.print(_wrap(line, console.width), style="dim", markup=False, soft_wrap=True)
+            self.display.console.print(line, style="dim", markup=False, highlight=False)
         else:
             around = [event.count() for of, (event, _) in self.phases.items() if of[0] and of != key]
             self.file.write(f"{', '.join(filter(None, [*around, line]))}\n")
@@ -241,13 +238,12 @@ def _is_terminal(file: TextIO) -> bool:
     return file.isatty() and os.environ.get("TERM") != "dumb"
 
 
-def fit_stderr(text: str) -> str:
-    """Return a text within the width of standard error: lines end between words."""
-    return _wrap(text, shutil.get_terminal_size().columns) if _is_terminal(sys.stderr) else text
-
-
 def say(*texts: str) -> None:
-    """Print texts at once: on a terminal within its width and with its colours, elsewhere as they are."""
+    """Print texts at once: on a terminal within its width and with its colours, elsewhere as they are.
+
+    A command stays one line, which the terminal wraps: of two lines, a shell would take the second for another command.
+    So does a row of a table in Markdown, which is to be copied into a page.
+    """
     active = Progress.active
     if active is not None:
         active.finish()
@@ -259,26 +255,8 @@ def say(*texts: str) -> None:
 
     # Only the console of the bars knows where they are; what another one writes, they would erase.
     console = active.display.console if active is not None and active.display is not None else Console()
-    for text in texts:
-        shown = Text(_wrap(text, shutil.get_terminal_size().columns))
+    for line in "\n".join(texts).split("\n"):
+        shown = Text(line)
         for words, colour in COLOURS.items():
-            shown.highlight_regex(re.compile(words, re.M), colour)
-        console.print(shown, soft_wrap=True, highlight=False)
-
-
-def _wrap(text: str, columns: int) -> str:
-    """Return a text whose lines end between words and are no longer than so many columns.
-
-    What goes on of an equation or of a row of several columns stands further right. A command stays one line, which the
-    terminal wraps: of two lines, a shell would take the second for another command. So does a row of a table in
-    Markdown, which is to be copied into a page.
-    """
-    return "\n".join(_wrap_line(line, columns) for line in text.split("\n"))
-
-
-def _wrap_line(line: str, columns: int) -> str:
-    words = line.lstrip()
-    if len(line) <= columns or words.startswith("| ") or COMMAND.match(line):
-        return line
-    indent = " " * (len(line) - len(words) + 4 * ("  " in words or "' = " in words or "[k+1] = " in words))
-    return textwrap.fill(line, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+            shown.highlight_regex(words, colour)
+        console.print(shown, soft_wrap=bool(COPIED.match(line)), highlight=False)

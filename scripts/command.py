@@ -38,7 +38,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 import dynasindy
 from dynasindy.limits import memory_wanted
-from dynasindy.progress import LOADING, Progress, fit_stderr, report_progress, say
+from dynasindy.progress import LOADING, Progress, report_progress, say
 from dynasindy.safe_io import LinkError, error_text, write_text
 from dynasindy.sentences import use_command_words
 from dynasindy.text import did_you_mean
@@ -166,7 +166,7 @@ def run(config_name: str, task: Callable[[DictConfig], None]) -> None:
     use_command_words()  # for what is refused before a job begins; workers of a sweep call it in `job`
     for kind in (DeprecationWarning, FutureWarning):  # what a library tells those who program with it
         warnings.simplefilter("ignore", kind)
-    warnings.formatwarning = lambda message, *_, **__: fit_stderr(f"warning: {message}") + "\n"
+    warnings.formatwarning = lambda message, *_, **__: f"warning: {message}\n"
     handle_signals(stop)
     try:
         with one_line(), PROGRESS:
@@ -179,7 +179,7 @@ def run(config_name: str, task: Callable[[DictConfig], None]) -> None:
         line = "stopped; the same command begins anew" if str(end) in ("", "stopped") else " ".join(str(end).split())
         if Sweep.config is not None:
             line = f"stopped; what is finished stays in {Sweep.config.hydra.sweep.dir}, the same command does the rest"
-        print(fit_stderr(line), file=sys.stderr)
+        print(line, file=sys.stderr)
         sys.exit(128 + getattr(end, "signal", 2))
     handle_signals(exit_now)
     gc.freeze()  # else the interpreter looks for a second whether anything that torch made is garbage
@@ -246,7 +246,7 @@ def one_line(cfg: DictConfig | None = None) -> Iterator[None]:
             remove_empty(Sweep.config and Sweep.config.hydra.sweep.dir)
         if Sweep.config is None:
             PROGRESS.close()  # so that the line is the last one
-        print(fit_stderr(line), file=sys.stderr)
+        print(line, file=sys.stderr)
         sys.exit(1 if type(error).__name__ == "Diverged" else 2)
 
 
