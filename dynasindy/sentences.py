@@ -659,8 +659,5 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "the one nearest to {wanted:g} s",
     "control.restless": "at rest {input} still changes by {percent:.2g} % of its range from period to period, on "
     "average: see that the actuator stands it",
-    "control.beyond_targets": "references of {output} in scenario '{scenario}' go from {least:.3g} to "
-    "{most:.3g}{unit:unit}, its targets from {low:.3g} to {high:.3g}{unit:unit}: train with <plant.signals=null> to "
-    "keep within these",
 }
 """What is said of each finding: a template, or a function of its values."""
