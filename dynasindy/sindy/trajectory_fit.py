@@ -319,6 +319,17 @@ def _joins(flow: Flow) -> Tensor:
     return joined
 
 
+def _with_starts(flow: Flow) -> Flow:
+    """Return trajectories that begin where each window tells it best, where a state is seen by no sensor."""
+    estimate, windows = flow.estimate, flow.windows
+    if bool(windows.mask.flatten(0, 1).any(0).all()) or windows.descent.floor is not None or bool(flow.lost().any()):
+        return flow
+    alone = replace(windows, joined=torch.zeros_like(windows.joined))
+    model = linearise_windows(Flow.of(estimate, flow.parameters.take(slice(0)), alone))
+    trial = Flow.of(replace(estimate, nodes=estimate.nodes + model.moves[..., -1]), flow.parameters, windows)
+    return trial if cost_of(trial, model.sigma) < cost_of(flow, model.sigma) else flow
+
+
 def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Descent, turned: float) -> Flow:
     """Return trajectories in windows of the wanted length, or as long as there are, in which they do not run away."""
     turn = relative_step(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
@@ -327,7 +338,7 @@ def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Desc
 
     def _cut(found: Estimate, length: int) -> tuple[Flow, bool]:
         windows = Windows.of(data, replace(descent, window=length), substeps)
-        trial = Flow.of(replace(found, nodes=guess[windows.rows]), parameters, windows)
+        trial = _with_starts(Flow.of(replace(found, nodes=guess[windows.rows]), parameters, windows))
         return trial, bool(trial.lost().any())
 
     flow, lost = _cut(estimate, length)

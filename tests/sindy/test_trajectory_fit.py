@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, motion
+from plants import scipy_motion
 from scipy.optimize import least_squares
 
 from dynasindy.findings import weak
@@ -134,6 +135,30 @@ def test_of_a_plant_that_falls_one_state_is_enough_as_its_trajectory_begins_anew
         for _ in (monkeypatch.setattr(trajectory_fit, "FARTHEST", farthest) for farthest in (1e6, math.inf))
     ]
     assert apart[0] < 0.2 < apart[1], apart
+
+
+def test_a_linear_model_of_overflowing_tanks_is_the_same_wherever_its_hidden_state_is_guessed_to_begin():
+    random, n, dt = np.random.default_rng(3), 700, 4.0
+    pump = np.repeat(random.uniform(1, 6, n // 20), 20)[:, None]
+
+    def levels(t, x, u):
+        roots, spilled = 0.08 * np.sqrt(np.maximum(x, 0)), max(x[0] - 7, 0)
+        return [0.04 * u[0] - roots[0] - spilled, roots[0] - 0.75 * roots[1] + 0.6 * spilled]
+
+    x = scipy_motion(levels, [4.0, 5.0], pump, dt, rtol=1e-6, atol=1e-6)[:, 1]
+    names = Signature(("level", "h"), ("V", "V/s"), ("u",), (1.0, 1.0))
+    library = Library(names, [CONSTANT, variable("level"), variable("h"), variable("u")])
+    free = torch.tensor([[False, True], [False, True], [False, True], [True, True]])
+    first = torch.tensor([[0, -4e-4], [0, -3e-5], [1, -7e-3], [0.08, 9e-4]], dtype=torch.float64)
+    samples = torch.from_numpy(np.stack([x + 0.01 * random.normal(size=n + 1), np.full(n + 1, np.nan)], 1))
+    data = Transitions.from_trajectory(samples, torch.from_numpy(pump), dt)
+    hidden = torch.from_numpy(np.gradient(x, dt)[:-1] - 0.08 * pump[:, 0])
+    found = []
+    for guess in (hidden, 0 * hidden):
+        start = torch.stack([data.x[:, 0], guess], 1)
+        found.append(refine_trajectory(library, first, free, data, Descent(100, joined=False, select=False), start))
+    one, other = (each.estimate.xi[free] for each in found)
+    torch.testing.assert_close(one, other, rtol=1e-3, atol=0)
 
 
 def test_a_recording_may_be_of_fewer_windows_than_parts(monkeypatch):
