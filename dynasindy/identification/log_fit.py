@@ -117,6 +117,8 @@ RESOLVED = 1.2
 """Times the error of a sensor up to which an error leaves nothing to be found."""
 STIFF = 10 * MOST_STEPS
 """Steps of a simulation between two samples, the most that there are, at which a model is too stiff for them."""
+LARGER = "functions of single states", "signed squares", "cubic functions", "square roots"
+"""Functions that models are tried with beside those of their libraries, those first that cost little."""
 LINEAR = ", inputs linear between samples"
 """How a model with such inputs is called."""
 LAG_STATES = 3
@@ -423,7 +425,10 @@ class _Search:
         try:
             with _attempt():
                 self._try_all()
-            return self._final(self.best) if self.tried else None
+            for each in sorted(self.tried, key=lambda each: round(each.score, 3)):
+                with _attempt():
+                    return self._final(each)
+            return None
         except KeyboardInterrupt:
             if not self.tried:
                 raise
@@ -485,6 +490,11 @@ class _Search:
                 self._windows(self.best)
         late = [self._try_chains] if early else [self._try_chains, self._try_state_space]
         self._try_hidden_states(*late, until=self.until)
+        found = list[Candidate]()
+        while self.tried and self.best not in found:  # until nothing gets better
+            found.append(self.best)
+            self._try_larger_libraries(found[-1:])
+            self._windows(self.best)
 
     def _windows_of_leaders(self, candidates: Sequence[Candidate]) -> None:
         """Simulate the best of some candidates over longer windows, of two with the same equations the better one."""
@@ -665,16 +675,16 @@ class _Search:
         if self.best is before or not self._clearly_better(self.best, before):
             del self.tried[known:]
 
-    def _hidden_states(self, of: Candidate) -> list[str]:
-        """Return the states of a candidate that no sensor sees, but for rates and those that follow a signal."""
-        known = {*self.source.signature.state_names, *rates_of(of.model).values()}
-        return [name for name in of.states if name not in known]
+    def _hidden_states(self, model: SindyModel) -> list[str]:
+        """Return the states of a model that no sensor sees, but for rates and those that follow a signal."""
+        known = {*self.source.signature.state_names, *rates_of(model).values(), *model.followed}
+        return [name for name in model.signature.state_names if name not in known]
 
     def _try_chains(self, until: float) -> None:
         """Try hidden states behind each state that a simple model predicts better; the other equations stay."""
         of, signature = self.best, self.source.signature
         linear = of.structure is not None and not self.given.given_known
-        if linear or signature.n_x == 1 or self._hidden_states(of):
+        if linear or signature.n_x == 1 or self._hidden_states(of.model):
             return  # it would be a linear model, or have some already
         judged = zip(self.folds, of.errors, strict=False)
         ratios = torch.stack([fold.ratios(errors).nanmean(0) for fold, errors in judged]).nanmean(0).nan_to_num()
@@ -797,9 +807,9 @@ class _Search:
         return _with_functions(model, lambda each: _quotients(each) <= best)
 
     def _try_larger_libraries(self, candidates: Iterable[Candidate]) -> None:
-        """Try signed squares, cubic functions, and roots of what is never negative, of the best states first."""
+        """Try more functions, those of the best states first."""
         sets = dict.fromkeys(each.states for each in sorted(candidates, key=lambda each: each.score))
-        for states, what in product(sets, ("signed squares", "cubic functions", "square roots")):
+        for states, what in product(sets, LARGER):
             of = min((each for each in self.tried if each.states == states), key=lambda each: each.score)
             if (of, what) in self.variations:
                 continue
@@ -813,14 +823,21 @@ class _Search:
             lags = torch.tensor([n in model.followed for n in model.signature.state_names])
             free = torch.cat([model.constraints.free, (model.constraints.free.any(0) & ~lags).expand(len(more), -1)])
             begun = replace(of, models=[_with_library(each, library, free) for each in of.models])
-            self._at_prices(what, begun, self._settings())
+            own = of.settings if of.settings.error == "prediction" else self._settings()
+            self._at_prices(what, begun, replace(own, rounds=0, select=True))
 
     def _functions(self, what: str, model: SindyModel) -> Sequence[Feature]:
-        """Return functions of a kind of those states and inputs that a model has in its equations."""
+        """Return functions of a kind of those states and inputs that a model has in its equations.
+
+        Roots are those of what is never negative; functions of a plant's library are new to models with hidden states.
+        """
         signature, features = model.signature, model.library.features
         used = {n for k in (model.coefficients != 0).any(-1).nonzero().flatten() for n in features[int(k)].variables}
         names = [n for n in (*signature.state_names, *signature.input_names) if n in used]
         units = dict(zip(signature.state_names, signature.state_units, strict=True))
+        if what == "functions of single states":
+            own = self.builder(signature).features if self.builder is not None and self._hidden_states(model) else ()
+            return [each for each in own if len(each.factors) == 1 and each.variables <= set(names)]
         if what == "signed squares":
             return [
                 variable(n) * function_of("abs", n)
@@ -840,7 +857,8 @@ class _Search:
         if (of, "windows") in self.variations:
             return
         self.variations.add((of, "windows"))
-        last, best, worse, window = of, of, 0, SHORTEST
+        last, best, worse = of, of, 0
+        window = max(SHORTEST, 2 * of.settings.window) if of.settings.error == "prediction" else SHORTEST
         longest = min(len(self.source.training) // 2, LONGEST)
         while window <= longest and worse <= WORSE:
             settings = self._settings(error="prediction", window=window, select=False)
@@ -882,9 +900,9 @@ class _Search:
                 errors.append(fold.errors_by_memory(each, best.source))
         best = replace(best, errors=errors)
         seconds = self.folds[0].steps[-1] * data.dt
-        findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), what=best.what, seconds=seconds)]
+        findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), seconds=seconds)]
         known = self.source.signature.state_names
-        if hidden := self._hidden_states(best):
+        if hidden := self._hidden_states(best.model):
             findings.append(note("fit.hidden_states", states=hidden))
         if rates := [name for name in best.states if name not in known and name not in hidden]:
             findings.append(note("fit.added_rates", states=rates, known={}))

@@ -275,8 +275,10 @@ def _model(model: SindyModel, linear: _Realisation, data: Transitions) -> SindyM
     a, b, feedthrough, chains, signature = linear.a, linear.b, linear.feedthrough, linear.chains, model.signature
     names, inputs, place = list(signature.state_names), list(signature.input_names), len(chains)
     free = (name for k in count(1) if (name := f"hidden_{k}") not in (*names, *inputs))
+    led = {k: before for chain in chains for before, k in pairwise(chain)}
     for k in range(place, len(a)):
-        signature = signature.with_state(next(free), "1", float(linear.sizes[k]) or 1.0)
+        unit = signature.rate_unit(signature.state_names[led[k]])
+        signature = signature.with_state(next(free), unit, float(linear.sizes[k]) or 1.0)
     names, more, at_once = list(signature.state_names), list[Feature](), dict[str, tuple[str, str]]()
     for k, name in enumerate(inputs):
         if feedthrough[:, k].any():

@@ -200,6 +200,8 @@ class Signature:
     def rate_unit(self, name: str) -> str:
         """Return the unit of the rate of a state."""
         unit = self.state_units[self.state_index(name)]
+        if power := re.fullmatch(r"(.*/s)(?:\^(\d))?", unit):
+            return f"{power[1]}^{int(power[2] or 1) + 1}"
         return "1/s" if unit == "-" else f"{unit}/s"
 
     def with_rates(self, known: Mapping[str, str]) -> Signature:

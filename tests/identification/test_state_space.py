@@ -118,6 +118,24 @@ def test_the_far_end_of_a_soft_shaft_is_found_by_its_motor_alone(one_fold):  # n
     assert "fit.behind" not in {finding.code for finding in found.report.findings}
 
 
+@pytest.mark.slow
+def test_dry_friction_of_a_motor_is_found_beside_the_hidden_far_end_of_its_shaft(one_fold):  # noqa: F811
+    u = 2 * steps(0, 150, 10)
+
+    def moves(now, x, force):
+        return [*SOFT_SHAFT @ x + DRIVE[:, 0] * force - [0, 0, 4 * np.tanh(20 * x[2]), 0]]
+
+    y = scipy_motion(moves, np.zeros(4), u[:-1], DT, rtol=1e-6, atol=1e-8)[:, :1]
+    y += 1e-3 * y.std() * np.random.default_rng(1).standard_normal(y.shape)
+    model = fitted(source_of(y, u[:-1], DT, units=("rad",)), seconds=60.0).model
+    assert model.signature.state_units[:3] == ("rad", "rad/s", "rad/s^2")
+    acceleration = zip(model.library.features, model.coefficients[:, 1].tolist(), strict=True)
+    (friction,) = [
+        c for f, c in acceleration if c and [(a.function, *a.variables) for a in f.factors] == [("tanh", "hidden_1")]
+    ]
+    assert friction == pytest.approx(-4.0, rel=0.1)
+
+
 @pytest.mark.parametrize("known", [{}, {"y": "speed"}])
 def test_hidden_states_are_tried_before_longer_simulations_where_no_function_explains_a_log(one_fold, known):  # noqa: F811
     u, given = steps(0, 60, 10), {"known": known} if known else {}
