@@ -33,7 +33,7 @@ from dynasindy.identification.forecast_errors import (
 from dynasindy.identification.recording_diagnostics import sensor_errors
 from dynasindy.identification.source import Source, rate_name, rates_of
 from dynasindy.identification.state_space import chain_candidates, state_space_candidates
-from dynasindy.identification.verdict import equation_findings, idle_states
+from dynasindy.identification.verdict import equation_findings
 from dynasindy.limits import raise_if_memory
 from dynasindy.progress import Event, TimeIsUp, listening, report_progress, reporting_as
 from dynasindy.sindy.delay import delay_and_trim, unexplained
@@ -153,8 +153,7 @@ class LogFit:
     @cached_property
     def content(self) -> list[Finding]:
         """What the equations hold, and which of their states no sensor sees."""
-        found = [*equation_findings(self.model, self.report), *lag_state_findings(self.model)]
-        return [*found, *idle_states(self.model, self.source.training)]
+        return [*equation_findings(self.model, self.report), *lag_state_findings(self.model)]
 
 
 def fit_log(model: SindyModel, source: Source) -> LogFit:
