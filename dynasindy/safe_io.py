@@ -67,13 +67,9 @@ def reading(source: Path | str) -> Iterator[None]:
         raise
     except KeyError as missing:
         raise _damaged(source, f"it lacks {missing}") from missing
-    except RecursionError as error:
-        raise _damaged(source, "it is nested too deeply") from error
-    except UnicodeDecodeError as error:
-        raise _damaged(source, f"it is no UTF-8 text from byte {error.start} on") from error
     except OSError as error:
         raise DamagedFileError(f"{source} cannot be read: {error.strerror}; check what it is") from error
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, csv.Error) as error:
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError, csv.Error) as error:
         raise _damaged(source, " ".join(error_text(error).split())) from error
 
 

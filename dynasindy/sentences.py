@@ -181,7 +181,6 @@ def _no_roles(
         "time": f"none of them is called {clock}",
         "inputs": "none that moves is called u, u_... or input_..., as inputs are",
         "states": "besides time and inputs none is left, which would be a state",
-        "command": f"besides {clock}, the time, what changes is no command and what it moves: log both",
     }
     return (
         f"{path} has the columns {', '.join(columns)}, with numbers in {', '.join(numbers) or 'none'}; "

@@ -389,12 +389,10 @@ class Controller:
                 found, self._memory = action.double().numpy().copy(), memory
         except (ArithmeticError, ValueError) as error:
             self._require_finite(y, r, slope)
-            seen = [value for value in y.tolist() if not math.isnan(value)]
-            told = (
-                f"no action follows from measurement {seen} and reference {r.tolist()}, as numbers of policy or "
-                "observer grow too large"
-            )
-            raise ValueError(f"{told}; the controller is as before: give values of the plant, or reset it") from error
+            raise ValueError(
+                f"no action follows from measurement {y.tolist()} and reference {r.tolist()}, as numbers of policy or "
+                "observer grow too large; the controller is as before: give values of the plant, or reset it"
+            ) from error
         self._begun = True
         if not self._warned and (far := (r < self._near[0]) | (r > self._near[1])).any():
             self._warned, k = True, int(far.argmax())

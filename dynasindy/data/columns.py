@@ -239,11 +239,10 @@ def infer(
             those = those[1:]  # the first is the time where nothing else is
         out += [note("log.left_out", why=reason, columns=those)] if those else []
     if not chosen or not found or not timed:
-        live = {*table.of_kind("moving")} - {clock}
-        lacks = "time" if not timed else "command" if len(live) < 2 else "states" if found else "inputs"
+        lacks = "time" if not timed else "states" if found else "inputs"
         numbers = table.of_kind("constant", "counter", "moving")
         facts: dict[str, Any] = {"columns": table.headings, "numbers": numbers, "clock": clock}
-        if numbers and lacks != "command":
+        if numbers:
             facts["guess"] = _guess_columns(table, clock if timed else None, found)
         raise LogError("log.no_roles", path=path, lacks=lacks, left_out=out, **facts)
     moving = min((_standing(moves[name]) for name in chosen if name in moves), default=1.0) < HELD

@@ -144,12 +144,6 @@ class Identified(LogFit):
         """Which states the data are too quiet to tell of, and what to move."""
         return low_signal_findings(self.source.training, self.source.signature, self._rates())
 
-    @property
-    def restarts(self) -> str:
-        """How often a prediction of all data begins anew, after gaps, in words; empty where it never does."""
-        gaps = int(self.source.validation.begins().sum()) - 1
-        return f", begun anew after {gaps} gap{'s' * (gaps > 1)}" if gaps > 0 else ""
-
     def resolved(self) -> ForecastErrors | None:
         """Return the errors of the states that the data tell of; None where they tell of none, or are too short."""
         return self.forecasts and self.forecasts.without(low_signal_states(self.source.training, self._rates()))
@@ -191,8 +185,8 @@ class Identified(LogFit):
             *(each.line("found") for each in self.content),
             "",
             *(table(forecasts, source.signature) if forecasts is not None else []),
-            f"one prediction of all data that the fit did not see{self.restarts}, relative to "
-            "the standard deviation of each state",
+            "one prediction of all data that the fit did not see, begun anew after gaps, relative to the standard "
+            "deviation of each state",
         ]
         for state, error in self.metrics["open_loop_nrmse"].items():
             text.append(f"  {state:<10} " + (f"{100 * error:.3g} %" if math.isfinite(error) else "runs away"))

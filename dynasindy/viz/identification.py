@@ -34,7 +34,7 @@ def draw_identification(found: Identified, folder: Path, formats: Sequence[str] 
     """
     training, validation, names = found.source.training, found.source.validation, found.source.signature
     truth = "log" if found.source.logged else "plant"
-    title = f"Free-running prediction of unseen data{found.restarts}"
+    title = "Free-running prediction of unseen data"
     time, later = (np.arange(len(data)) * data.dt for data in (training, validation))
     figures = {"training_data": training_data(time, training.x, training.u, names, segment=training.segment)}
     if len(validation):
