@@ -154,22 +154,18 @@ class Source:
         Raises:
             ValueError: the model is of another plant, or its inputs have other ends.
         """
-        if not self.signature.same_input_ranges(model.signature):
-            mine, theirs = (each.input_ranges[:, 2:].tolist() for each in (self.signature, model.signature))
-            raise ValueError(
-                f"the inputs {', '.join(model.signature.input_names)} have the ends {theirs} for the model and {mine} "
-                f"in the log, or another zero; give the ends of the actuator to both, low, high and rest in "
-                f"{setting('data.inputs')}, or identify the log again"
-            )
         source = self.with_unmeasured(self.signature.with_rates(rates_of(model)))
         names, states = source.signature.state_names, model.signature.state_names
         given = (model.constraints.offset != 0).any(-1).nonzero().flatten().tolist()
         # What no sensor sees has its scale by a coefficient that is given, or follows a signal.
         unseen = {*model.followed, *(name for k in given for name in model.library.features[k].variables)}
-        if states[: len(names)] != names or not unseen.issuperset(states[len(names) :]):
+        alike = states[: len(names)] == names and unseen.issuperset(states[len(names) :])
+        if not (alike and self.signature.same_input_ranges(model.signature)):
+            both = (source.signature, model.signature)
+            mine, theirs = ((", ".join(each.state_names), each.input_ranges[:, 2:].tolist()) for each in both)
             raise ValueError(
-                f"the model has the states {', '.join(states)}, the log {', '.join(names)}; give a model of "
-                "the plant that the log is of"
+                f"the model has the states {theirs[0]} and ends of inputs {theirs[1]}, the log {mine[0]} and {mine[1]}"
+                f"; give a model of the same plant, and low, high and rest in {setting('data.inputs')}"
             )
         source = source.with_unmeasured(model.signature)
         return source.with_linear_inputs([name in model.linear_inputs for name in model.signature.input_names])
