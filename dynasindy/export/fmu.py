@@ -5,7 +5,6 @@ Sources: FMI 3.0.2 and 2.0.4, https://fmi-standard.org.
 
 from __future__ import annotations
 
-import hashlib
 import platform
 import sys
 import tempfile
@@ -26,7 +25,6 @@ from dynasindy.systems.compiler import SUFFIX, compile_library, compiler
 
 PAST = 1024
 """Largest number of inputs that are on their way to a plant with a delay."""
-_GAP = "TOKEN-OF-THIS-FMU"
 FINE = {
     2: ("SetDebugLogging", "EnterInitializationMode", "ExitInitializationMode", "Terminate"),
     3: ("SetDebugLogging", "ExitInitializationMode", "EnterStepMode", "Terminate"),
@@ -92,7 +90,6 @@ def controller_fmu(controller: Controller, path: Path, version: int = 3) -> bool
         inputs=len(variables) - signature.n_u,
         values=len(variables),
     )
-    text += _interface(version)
     return _write(name, controller.dt, variables, {**sources.files(), f"{name}_fmi.c": text}, path, version)
 
 
@@ -119,7 +116,7 @@ def plant_fmu(model: SindyModel, path: Path, step: float, stops: Stops | None = 
         raise ValueError("an FMU of a plant has inputs, and this model has none; export it as C instead")
     step, ends = model.step or step, stops.rows(signature.n_x) if stops else []
     words = {"model": model, "found": formulas(model), "stops": ends, "past": PAST}
-    text = fill("fmu_plant.c", **words, step=number(step), delay=number(model.delay)) + _interface(version)
+    text = fill("fmu_plant.c", **words, step=number(step), delay=number(model.delay))
     units = zip(signature.state_names, signature.state_units, strict=True)
     variables = (
         *((f"u_{word}", "1", False) for word in signature.input_names),
@@ -128,18 +125,15 @@ def plant_fmu(model: SindyModel, path: Path, step: float, stops: Stops | None = 
     return _write(name, step, variables, {f"{name}.c": text}, path, version)
 
 
-def _interface(version: int) -> str:
-    if version not in FINE:
-        raise ValueError(f"FMI {version} is not written; allowed are 2 and 3")
-    return fill("fmi.c", version=version, token=_GAP, fine=FINE[version], absent=ABSENT[version])
-
-
 def _write(
     name: str, step: float, variables: Sequence[Variable], texts: Mapping[str, str], path: Path, version: int
 ) -> bool:
-    digest = hashlib.sha256("".join(texts.values()).encode()).hexdigest()
-    token = "{" + str(uuid.uuid5(uuid.NAMESPACE_OID, digest)) + "}"
-    sources = {file: text.replace(_GAP, token) for file, text in texts.items()}
+    if version not in FINE:
+        raise ValueError(f"FMI {version} is not written; allowed are 2 and 3")
+    token = f"{{{uuid.uuid5(uuid.NAMESPACE_OID, ''.join(texts.values()))}}}"
+    *_, last = texts
+    interface = fill("fmi.c", version=version, token=token, fine=FINE[version], absent=ABSENT[version])
+    sources = {**texts, last: texts[last] + interface}
     words: dict[str, Any] = {"name": name, "files": [file for file in sources if file.endswith(".c")]}
     about = {"step": repr(step), "variables": variables, "units": sorted({unit for _, unit, _ in variables})}
     more = {"version": version, "release": __version__, "token": token}
