@@ -45,7 +45,8 @@ def setting(key: str, value: Any = None) -> str:
     if value is None:
         return key if _words_of_commands else name
     if _words_of_commands:
-        return f"'{command_word(key, value)}'" if isinstance(value, Mapping) else command_word(key, value)
+        word = command_word(key, value)
+        return f"'{word}'" if {*word} & {*'{"'} else word
     return f"{CALLS[key]}({name}={value!r})" if key in CALLS else f"{name}={value!r}"
 
 
@@ -134,11 +135,6 @@ FORMATS: dict[str, Callable[[Any], str]] = {
 
 
 # --- the log ---------------------------------------------------------------------------------------------------------
-
-
-def _named_unit(column: str, unit: str) -> str:
-    text = f"{column} [{unit}]"
-    return f"'data.time=\"{text}\"'" if _words_of_commands else f"time={text!r}"
 
 
 LEFT_OUT = {
@@ -426,7 +422,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.restart": "the time begins anew in line {lines:list}, and so does a recording",
     "log.whole_seconds": lambda column: (
         f"{column} holds whole numbers without a unit: of a counter of rows give the true time between two in seconds, "
-        f"such as {setting('data.dt', 0.01)}, of a time its unit: {_named_unit(column, 'ms')}, or [s]"
+        f"such as {setting('data.dt', 0.01)}, of a time its unit: {setting('data.time', f'{column} [ms]')}, or [s]"
     ),
     "log.row_counter": "time is the column {column}, taken as a counter of rows, {dt:g} s apart by <data.dt>",
     "log.zero_order_hold": "{column} stands in {rows} of {total} rows, and is held from each to the next",
@@ -506,8 +502,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "sampling time: write it with more digits, or give the time between two rows in seconds as <data.dt>",
     "log.no_time_unit": lambda column, step: (
         f"numbers without a unit stand in the time column {column}, {step:g} from row to row, hardly seconds: give "
-        f"their unit, as in {_named_unit(column, 'us')}, or [s] for seconds, or [ms], or write dates, such as "
-        "2024-05-31 12:00:00.05"
+        f"their unit, as in {setting('data.time', f'{column} [us]')}, or [s] for seconds, or [ms], or write "
+        "dates, such as 2024-05-31 12:00:00.05"
     ),
     "log.uneven": "no stretch of the recording has 4 samples {dt:g} s apart, which are needed: check the sampling time",
     "log.constant_input": "input {input} is constant at {value:g}: excite it, or leave it out of <data.inputs>",

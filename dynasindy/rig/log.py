@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.identification.recording_diagnostics import sensor_resolution
 from dynasindy.rig.base import Array, Wiring
 from dynasindy.systems import Signature
 from dynasindy.text import unit_suffix
@@ -121,19 +120,11 @@ class FlightRecord:
         return np.where(known, apart, 0.0).sum(0) / np.where(known.any(0), known.sum(0), np.nan)
 
     def summary(self) -> str:
-        """Return the errors in one line; one below the step of its sensor is no number of the plant."""
+        """Return the errors in one line."""
         if not len(self.time):
             return "no period was flown, so there is no error to tell"
         told = []
-        for name, output, error in zip(self.names, self.outputs.T, self.errors().tolist(), strict=True):
-            step, unit = sensor_resolution(output), self.signature.state_units[self.signature.state_index(name)]
-            if not np.isfinite(error):
-                told.append(f"{name} was not measured")
-            elif error < step:
-                told.append(f"{name} within the sensor's step of {step:.3g}{unit_suffix(unit)}")
-            else:
-                told.append(f"{name} to {error:.3g}{unit_suffix(unit)}")
-        # The last target of a flight that was cut short may hardly have been approached.
-        short = f", of the {len(self.time)} periods of {self.planned} that were flown"
-        flown = short if len(self.time) < self.planned else ""
-        return f"mean error over the last half of each target{flown}: {', '.join(told)}"
+        for name, error in zip(self.names, self.errors().tolist(), strict=True):
+            unit = unit_suffix(self.signature.state_units[self.signature.state_index(name)])
+            told.append(f"{name} to {error:.3g}{unit}" if np.isfinite(error) else f"{name} was not measured")
+        return f"mean error over the last half of each target in {len(self.time)} periods: {', '.join(told)}"
