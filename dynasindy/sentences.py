@@ -11,7 +11,7 @@ import string
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from dynasindy.text import did_you_mean, format_duration, unit_suffix
+from dynasindy.text import format_duration, unit_suffix
 
 if TYPE_CHECKING:
     from dynasindy.findings import Finding
@@ -488,10 +488,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "without a time are even where <data.dt> is given",
     "log.worded_column": "the column {column} holds words, such as {text!r}; allowed are numbers, 1 and 0 for UP and "
     "DOWN, and of time dates such as 2024-05-31 12:00:00.05 or 31.05.2024 12:00:00.05: write them so",
-    "log.absent_column": lambda key, column, path, columns: (
-        f"<{key}> names '{column}'; {path} has "
-        f"{', '.join(columns)}: name columns of the file{did_you_mean(column, columns)}"
-    ),
     "log.name": "a state or input is called {name!r}; allowed are names that begin with a letter, hold no signs of "
     "arithmetic and differ, each of a column of its own: name it in <data.states> or <data.inputs>, as "
     "{{angle: HEADING}}",

@@ -173,7 +173,7 @@ def infer(
         dt: sampling time that was given [s]; the error then does not ask for it.
 
     Raises:
-        ValueError: no heading is that of a state, none that of an input, or one that is named does not exist.
+        ValueError: no heading is that of a state, or none that of an input.
     """
     path, names = str(table.path), [split_unit(heading)[0] for heading in table.headings]
     if double := sorted({name for name in names if names.count(name) > 1}):
@@ -207,7 +207,7 @@ def infer(
         found = next(filter(None, ([name for name in some if name not in why] for some in commands)), [])
         found = [name for name in found if name[0].islower()] or found  # U_left beside u may be anything
     else:
-        found = _chosen(columns, inputs, path, "data.inputs")
+        found = _chosen(columns, inputs)
     leave("label", [name for name, column in left().items() if _is_label(column)])
     guessed = not found and inputs is None and timed
     if guessed:
@@ -224,7 +224,7 @@ def infer(
     if states is None:
         chosen = [name for name in numeric if name not in why and name not in found]
     else:
-        chosen = _chosen([name for name in columns if name not in found], states, path, "data.states")
+        chosen = _chosen([name for name in columns if name not in found], states)
         why = {
             name: kind
             for name, kind in why.items()
@@ -251,7 +251,8 @@ def infer(
         out.append(weak("log.held_states", states=still))
     if guessed:
         out.append(weak("log.guessed_inputs", inputs=found, states=chosen, named=bool(acting)))
-    return {name: columns[name] for name in chosen}, {name: columns[name] for name in found}, out
+    driving = {name: columns.get(name, Column(name)) for name in found}
+    return {name: columns.get(name, Column(name)) for name in chosen}, driving, out
 
 
 def _is_label(column: Array, rarely: bool = True) -> bool:
@@ -394,11 +395,8 @@ HELD = 0.5
 """Share of the rows with the same number as before beyond which a column moves in steps."""
 
 
-def _chosen(columns: Collection[str], names: Collection[str], path: str, key: str) -> list[str]:
-    found = {name: find_names(name, columns) for name in names}
-    if absent := [split_unit(name)[0] for name in names if not found[name]]:
-        raise LogError("log.absent_column", key=key, column=absent[0], path=path, columns=[*columns])
-    return [first for first, *_ in found.values()]
+def _chosen(columns: Collection[str], names: Collection[str]) -> list[str]:
+    return [next(iter(find_names(name, columns)), name) for name in names]  # what is not there is refused on reading
 
 
 def find_clock(table: Table, time: str, named: Collection[str], dt: float | None) -> str:
