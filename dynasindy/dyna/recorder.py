@@ -339,9 +339,8 @@ def judge_run(
         decisions: Rows of `gate.csv`, which tell in how many episodes the model was not trusted, and why the last time.
     """
     untrained, trained = (_number(metrics[key]["return"]) for key in ("untrained", "evaluation"))
-    finite = math.isfinite(trained) and math.isfinite(untrained)
     facts: dict[str, Any] = {"scenario": metrics["scenario"], "trained": trained, "untrained": untrained}
-    if usable := finite and trained > untrained:
+    if usable := trained > untrained:
         compared = note("run.better", **facts)
     else:
         compared = wrong("run.no_better", **facts, episodes=bool(metrics.get("episodes", 1)))

@@ -24,7 +24,7 @@ from dynasindy.agents.replay import require_finite_rollout
 from dynasindy.control.controller import acting
 from dynasindy.control.observer import Observer
 from dynasindy.control.sensing import Sensing
-from dynasindy.envs import ControlEnv, Reference, Step, Task, Tracking
+from dynasindy.envs import ControlEnv, Reference, Step, Tracking
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, Summary, steady_seconds, tracking_metrics
@@ -382,7 +382,16 @@ def evaluate(
             reward that is not finite. A plant that runs away is left at the end of `FARTHEST` ranges.
     """
     scenario = replace(scenario, seconds=scenario.length(env) if seconds is None else seconds)
-    calm, task = _prepare(env, scenario)
+    task = copy.copy(env.task)
+    if scenario.reference is not None:
+        if not isinstance(task, Tracking):
+            raise TypeError(
+                f"task {type(task).__name__} tracks no reference; give scenario=task, or scenario.reference=null"
+            )
+        task = task.with_reference(scenario.reference)
+    task.max_steps = round(scenario.length(env) / env.dt)
+    calm = env.with_task(task, seed=scenario.seed)
+    calm.left_beyond = FARTHEST
     wrapped = policy if observer is None else acting(policy, calm, bool(observer.pushed))
     sensing, sensors = None, None if observer is None else observer.sensors
     noise = torch.zeros(env.system.signature.n_x, dtype=torch.float64)
@@ -411,21 +420,6 @@ def evaluate(
     metrics = tracking_metrics(time, y, r, u, boxes, until, floor)
     extents, columns = tuple(boxes.tolist()), tuple(outputs)
     return Evaluation(scenario.name, signature, columns, time, trajectory, metrics, windows, extents)
-
-
-def _prepare(env: ControlEnv, scenario: Scenario) -> tuple[ControlEnv, Task]:
-    """Return the undisturbed environment, with the scenario's reference and length, and its task."""
-    task = copy.copy(env.task)
-    if scenario.reference is not None:
-        if not isinstance(task, Tracking):
-            raise TypeError(
-                f"task {type(task).__name__} tracks no reference; give scenario=task, or scenario.reference=null"
-            )
-        task = task.with_reference(scenario.reference)
-    task.max_steps = round(scenario.length(env) / env.dt)
-    calm = env.with_task(task, seed=scenario.seed)
-    calm.left_beyond = FARTHEST
-    return calm, task
 
 
 def _run(
