@@ -32,8 +32,13 @@ from dynasindy.identification.forecast_errors import (
 )
 from dynasindy.identification.recording_diagnostics import sensor_errors
 from dynasindy.identification.source import Source, rate_name, rates_of
-from dynasindy.identification.state_space import chain_candidates, state_space_candidates
-from dynasindy.identification.verdict import equation_findings
+from dynasindy.identification.state_space import (
+    chain_candidates,
+    fading_states,
+    state_space_candidates,
+    with_disturbance,
+)
+from dynasindy.identification.verdict import equation_findings, idle_states
 from dynasindy.limits import raise_if_memory
 from dynasindy.progress import Event, TimeIsUp, listening, report_progress, reporting_as
 from dynasindy.sindy.delay import delay_and_trim, unexplained
@@ -153,7 +158,8 @@ class LogFit:
     @cached_property
     def content(self) -> list[Finding]:
         """What the equations hold, and which of their states no sensor sees."""
-        return [*equation_findings(self.model, self.report), *lag_state_findings(self.model)]
+        found = [*equation_findings(self.model, self.report), *lag_state_findings(self.model)]
+        return [*found, *idle_states(self.model, self.source.training)]
 
 
 def fit_log(model: SindyModel, source: Source) -> LogFit:
@@ -475,7 +481,7 @@ class _Search:
         if early := bool(linear) and self.best.score > FAR_BEHIND:  # no function explains it
             until = time.process_time() + HIDDEN_SHARE * self.refinement.seconds
             attempt = self._try_chains if self.given.given_known else self._try_state_space
-            self._try_hidden_states(attempt, until=min(self.until, until))
+            self._try_hidden_states(self._try_disturbances, attempt, until=min(self.until, until))
         has_new_state = False
         if self.builder is not None and self.tried:
             self._try_larger_libraries(self._near())
@@ -487,7 +493,8 @@ class _Search:
             self._try_larger_libraries(self._near())
             if self.best is not before:
                 self._windows(self.best)
-        late = [self._try_chains] if early else [self._try_chains, self._try_state_space]
+        every = self._try_disturbances, self._try_chains, self._try_state_space
+        late = [self._try_chains] if early else every
         self._try_hidden_states(*late, until=self.until)
         found = list[Candidate]()
         while self.tried and self.best not in found:  # until nothing gets better
@@ -679,6 +686,14 @@ class _Search:
         known = {*self.source.signature.state_names, *rates_of(model).values(), *model.followed}
         return [name for name in model.signature.state_names if name not in known]
 
+    def _try_disturbances(self, until: float) -> None:
+        """Try hidden states that add to inputs, one after the other."""
+        for signal in self.source.signature.input_names:
+            of = self.best
+            models = [with_disturbance(model, signal, self.slow) for model in of.models]
+            wide = of.source.with_unmeasured(models[0].signature)
+            self._fit(f"{of.what}, {signal} disturbed", models, wide, self._settings(select=False))
+
     def _try_chains(self, until: float) -> None:
         """Try hidden states behind each state that a simple model predicts better; the other equations stay."""
         of, signature = self.best, self.source.signature
@@ -814,8 +829,8 @@ class _Search:
                 continue
             self.variations.add((of, what))
             model = of.model
-            known = {each.key for each in model.library.features}
-            more = [each for each in self._functions(what, model) if each.key not in known]
+            known = {frozenset(map(_unfitted, each.factors)) for each in model.library.features}
+            more = [each for each in self._functions(what, model) if frozenset(each.factors) not in known]
             if not more:
                 continue
             library = Library(model.signature, [*model.library.features, *more], step=model.step)
@@ -832,7 +847,7 @@ class _Search:
         """
         signature, features = model.signature, model.library.features
         used = {n for k in (model.coefficients != 0).any(-1).nonzero().flatten() for n in features[int(k)].variables}
-        names = [n for n in (*signature.state_names, *signature.input_names) if n in used]
+        names = [n for n in (*signature.state_names, *signature.input_names) if n in used - {*fading_states(model)}]
         units = dict(zip(signature.state_names, signature.state_units, strict=True))
         if what == "functions of single states":
             own = self.builder(signature).features if self.builder is not None and self._hidden_states(model) else ()
@@ -901,8 +916,10 @@ class _Search:
         seconds = self.folds[0].steps[-1] * data.dt
         findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), seconds=seconds)]
         known = self.source.signature.state_names
-        if hidden := self._hidden_states(best.model):
-            findings.append(note("fit.hidden_states", states=hidden))
+        hidden, fading = self._hidden_states(best.model), fading_states(model)
+        findings += [note("fit.disturbance", state=name, seconds=fading[name]) for name in hidden if name in fading]
+        if others := [name for name in hidden if name not in fading]:
+            findings.append(note("fit.hidden_states", states=others))
         if rates := [name for name in best.states if name not in known and name not in hidden]:
             findings.append(note("fit.added_rates", states=rates, known={}))
         if model.linear_inputs:

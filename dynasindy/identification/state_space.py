@@ -7,6 +7,9 @@ measured state y leads a chain,
     y' = hidden_1 + b_0 u,   hidden_1' = hidden_2 + b_1 u,   ...,   hidden_k' = a (all states) + b_k u + c,
 
 so that a hidden state is a rate of change but for what inputs add at once, and few numbers are to be fitted.
+
+What pushes a plant at random, and lasts, is a hidden state, too: a disturbance d that adds to an input and fades,
+d' = -d / T (Muske and Badgwell 2002).
 """
 
 from __future__ import annotations
@@ -39,6 +42,8 @@ STRIDES = (1, 2, 4, 8, 16)
 """Every how many samples the past is read."""
 FEEDTHROUGH_RATE = 50.0
 """Rate at which a state follows an input that acts at once [1 / samples]."""
+DISTURBANCE = 0.1
+"""Range of a disturbance [that of the input that it adds to]."""
 MAX_HIDDEN = 8
 """Hidden states at most."""
 ROUNDING = 1e-9
@@ -134,6 +139,44 @@ def chain_candidates(
     blank = SindyModel(alone, Library(alone, [Feature(())]), of.regression, of.refinement)
     for found in state_space_candidates(blank, part):
         yield [_with_chain(of, chain, rate, named) for chain in found]
+
+
+def with_disturbance(of: SindyModel, signal: str, time: float) -> SindyModel:
+    """Return a model with a hidden state more that acts wherever an input does, each time by a coefficient of its own.
+
+    Args:
+        of: a fitted model.
+        signal: the input.
+        time: in which the disturbance fades, at first [s].
+    """
+    name = next(n for k in count() if (n := f"{signal}_disturbance" + "_" * k) not in of.signature.state_names)
+    signature, features, xi = of.signature.with_state(name, "1", DISTURBANCE), of.library.features, of.coefficients
+    rows = [k for k in (xi != 0).any(-1).nonzero().flatten().tolist() if signal in features[k].variables]
+    through, own = [features[k].renamed({signal: name}) for k in rows], variable(name)
+    more = through if own in through else [*through, own]
+    library, place = Library(signature, [*features, *more], step=of.step), len(features) + more.index(own)
+
+    def _wide(values: Tensor) -> Tensor:
+        acting = torch.cat([values, values[rows]])
+        return torch.nn.functional.pad(acting, (0, 1, 0, len(library) - len(acting)))
+
+    found = SindyModel(signature, library, of.regression, of.refinement, machine_code=of.machine_code)
+    free, offset, initial = _wide(of.constraints.free & (xi != 0)), _wide(of.constraints.offset), _wide(xi)
+    for k, i in free[len(features) :].nonzero()[:1].tolist():  # the unit is that of the input
+        free[len(features) + k, i], offset[len(features) + k, i] = False, initial[len(features) + k, i]
+    free[place, -1], initial[place, -1] = True, -1 / time
+    found.constraints, found.initial, found.initial_delay = Constraints(free, offset), initial, of.delay
+    return found
+
+
+def fading_states(model: SindyModel) -> dict[str, float]:
+    """Return the states that nothing moves but noise, as disturbances, and the time in which each fades [s]."""
+    names, columns, found = model.signature.state_names, model.coefficients.mT, dict[str, float]()
+    for name, column in zip(names, columns, strict=True):
+        own = [name == each for each in model.library.names]
+        if torch.equal(column < 0, torch.tensor(own)) and not bool((column > 0).any()):
+            found[name] = -1 / float(column.sum())
+    return found
 
 
 def _with_chain(of: SindyModel, chain: SindyModel, rate: int | None, named: Collection[str]) -> SindyModel:

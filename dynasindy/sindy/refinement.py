@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Annotated, Any, Literal
@@ -16,17 +16,19 @@ from torch import Tensor
 from dynasindy.findings import Finding, note, weak
 from dynasindy.limits import Count, Positive
 from dynasindy.safe_io import checked_class
-from dynasindy.sindy.codegen import generate
+from dynasindy.sindy.codegen import generate, simulate
 from dynasindy.sindy.covariance import of_rates
 from dynasindy.sindy.delay import unexplained
 from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.library import Constraints, Library
 from dynasindy.sindy.reconstruction import RegressionData, has_gaps
 from dynasindy.sindy.regression import Regression, Rows, TriangularFactor, fit_supported, needed_at_edge
+from dynasindy.sindy.sensitivity import slopes_by_state
 from dynasindy.sindy.shape_parameters import fit_shapes
-from dynasindy.sindy.shooting import Descent, RunsAway, shooting_covariance
+from dynasindy.sindy.shooting import Descent, RunsAway, relative_step, shooting_covariance, substeps_for
 from dynasindy.sindy.trajectory_fit import refine_trajectory
 from dynasindy.systems.integrators import moved
+from dynasindy.systems.interpreter import MeasurementUpdate
 from dynasindy.systems.transitions import Transitions
 
 PERIODS = 2
@@ -57,6 +59,8 @@ TELLING = 4.0
 inertia."""
 OBSERVED = 500
 """Samples in a window through which an observer follows the plant: so many that it matters little where it begins."""
+PUSHED, STILL = (0.03, 0.1, 0.3, 1.0, 3.0), 1e-3
+"""Changes by chance of disturbances from sample to sample that are tried, and of other states and readings [ranges]."""
 ALPHA = 0.7
 """Part of an error of one step that a filter first takes for the state's (Kalata 1984)."""
 Model = tuple[Library, Tensor]
@@ -275,7 +279,7 @@ class _Fit:
             found = self._regressed(found, delay)
         data, window = recording.delayed(0.0 if fits else delay).measured, self._window
         if error == "innovation":
-            gain, window = _first_gain(data, recording.rates), min(max(window, OBSERVED), len(data))
+            gain, window = _first_gain(found, recording.delayed(delay)), min(max(window, OBSERVED), len(data))
         descent = self._descent(window, joined=error == "simulation", before=recording.before() if fits else None)
         start = recording.delayed(delay).guess.x
         flow = refine_trajectory(*found, self.constraints.free, data, descent, start, delay if fits else 0.0, gain)
@@ -358,14 +362,47 @@ def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bo
     return bool(2 * ((correlation < PLAIN) & kept).sum() > len(kept))
 
 
-def _first_gain(data: Transitions, rates: Mapping[int, int]) -> tuple[Tensor, Tensor]:
-    """Return a first gain of an observer, of measured states on themselves and their rates, and where it is fitted."""
-    seen = ~data.x_next.isnan().all(0)
-    mask, gain = torch.diag(seen), torch.diag(ALPHA * seen.double())
+def _first_gain(model: Model, recording: RegressionData) -> tuple[Tensor, Tensor]:
+    """Return a first gain of an observer, of measured states on themselves and their rates, and where it is fitted.
+
+    Where there are disturbances, which nothing moves but noise, it is that of a stationary Kalman filter.
+    """
+    (library, xi), data, rates = model, recording.measured, recording.rates
+    seen, names = ~data.x_next.isnan().all(0), library.signature.state_names
+    mask, gain, pushed = torch.diag(seen), torch.diag(ALPHA * seen.double()), torch.zeros_like(seen)
     for i in (~seen).nonzero().flatten().tolist():
         of = rates.get(i)
         if of is None or not bool(seen[of]):
             mask[i] = seen
+            pushed[i] = [library.names[k] for k in xi[:, i].nonzero().flatten().tolist()] == [names[i]]
         else:
             mask[i, of], gain[i, of] = True, ALPHA**2 / (2 - ALPHA) / data.dt
-    return gain, mask
+    if not bool(pushed.any()):
+        return gain, mask
+    guess, begun = recording.guess, int(recording.guess.segment_starts()[-1])  # the last stretch
+    x, u, u_end = guess.x[begun : begun + 1], guess.u[begun:].unsqueeze(0), guess.u_end
+    u_end = None if u_end is None else u_end[begun:].unsqueeze(0)
+    substeps = substeps_for(relative_step(library, xi, guess.x, guess.u, data.dt))
+
+    def _innovations(gain: Tensor) -> float:
+        update = MeasurementUpdate(data.x_next[begun:].unsqueeze(0), gain)
+        ends = simulate(library, xi, x, u, data.dt, substeps, u_end, update)[0]
+        return float((ends - data.x_next[begun:])[:, seen].square().nanmean(0).log().sum().nan_to_num(math.inf))
+
+    gains = (torch.where(mask, _kalman_gain(library, xi, guess, seen, pushed, noise), 0.0) for noise in PUSHED)
+    return min((gain, *gains), key=_innovations), mask
+
+
+def _kalman_gain(library: Library, xi: Tensor, data: Transitions, seen: Tensor, pushed: Tensor, noise: float) -> Tensor:
+    """Return the gain of a stationary Kalman filter of a model, linear where the data mostly are, `(n_x, n_x)`."""
+    from scipy.linalg import solve_discrete_are
+
+    x, u = (each.median(0, keepdim=True).values for each in (data.x, data.u))
+    scale = xi.new_tensor(library.signature.x_scale)
+    moves = torch.matrix_exp(data.dt * slopes_by_state(library, xi, x, u)[0])
+    pushes = torch.diag((scale * torch.where(pushed, noise, STILL)).square())
+    reads, error = torch.eye(len(scale), dtype=xi.dtype)[seen], torch.diag((STILL * scale[seen]).square())
+    p = torch.from_numpy(solve_discrete_are(*(each.numpy() for each in (moves.mT, reads.mT, pushes, error))))
+    gain = torch.zeros(len(scale), len(scale), dtype=xi.dtype)
+    gain[:, seen] = torch.linalg.solve(reads @ p @ reads.mT + error, reads @ p).mT
+    return gain

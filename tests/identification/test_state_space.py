@@ -7,9 +7,14 @@ from plants import scipy_motion
 from scipy.signal import cont2discrete, dlsim
 
 from dynasindy.identification.log_fit import SHORTEST
-from dynasindy.identification.state_space import chain_candidates, state_space_candidates
+from dynasindy.identification.state_space import (
+    chain_candidates,
+    fading_states,
+    state_space_candidates,
+    with_disturbance,
+)
 from dynasindy.progress import listening
-from dynasindy.sindy import SindyModel
+from dynasindy.sindy import Refinement, SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from tests.identification.test_log_fit import fitted, one_fold, source_of, steps  # noqa: F401
@@ -108,6 +113,27 @@ def test_a_place_behind_a_late_sensor_gets_hidden_states_beside_a_motor_with_fri
         for model in found
     ]
     assert min(distance(np.linalg.eigvals(chain.T.numpy()), np.linalg.eigvals(behind)) for chain in chains) < 0.1
+
+
+def test_a_push_that_fades_is_told_by_the_equations_of_what_it_pushes():
+    a, b = np.array([[0.0, 1.0, 0.0], [-4.0, -0.4, 1.0], [0.0, 0.0, -2.0]]), np.array([[0.0], [3.0], [0.0]])
+    a, b, *_ = cont2discrete((a, b, np.eye(3), np.zeros((3, 1))), 0.05)
+    random, u, x = np.random.default_rng(1), steps(0, 100, 20), [np.zeros(3)]
+    for held in u:
+        x.append(a @ x[-1] + b[:, 0] * held + [0, 0, 0.45 * random.standard_normal()])
+    unseen = np.full((len(x), 2), np.nan)
+    seen = torch.from_numpy(
+        np.concatenate([np.array(x)[:, :1] + 1e-3 * random.standard_normal((len(x), 1)), unseen], 1)
+    )
+    data = Transitions.from_trajectory(seen, torch.from_numpy(u[:, None]), 0.05)
+    plant = SindyModel(Signature(("y", "v"), ("m", "m/s"), ("u",), (2.0, 4.0)), ["y", "v", "u"], known={"y": "v"})
+    plant.set_coefficients(torch.tensor([[0.0, -3.0], [1.0, -0.8], [0.0, 2.0]], dtype=torch.float64))
+    model = with_disturbance(plant, "u", 5.0)
+    model.refinement = Refinement("trajectory", error="innovation", rounds=0, select=False, longest_delay=0.0)
+    model.fit(data)
+    assert fading_states(model) == pytest.approx({"u_disturbance": 0.5}, rel=0.2)
+    acceleration = dict(zip(model.library.names, model.coefficients[:, 1].tolist(), strict=True))
+    assert [acceleration[name] for name in ("y", "v", "u")] == pytest.approx([-4.0, -0.4, 3.0], rel=0.1)
 
 
 @pytest.mark.slow
