@@ -250,6 +250,8 @@ def _tracked(
     ringing: Sequence[str],
     grew: bool | None = None,
     seconds: float | None = None,
+    rates: Sequence[str] = (),
+    targets: Mapping[str, Sequence[float]] | None = None,
     moving: bool = False,
 ) -> str:
     texts = []
@@ -272,6 +274,13 @@ def _tracked(
             parts.append(
                 f"not tracked, and {fate} in up to {_percent(max(shares.values()))} of the runs: {_few(shares)}"
             )
+    if targets:
+        low, high = ([*(ends[k] for ends in targets.values()), *(0.0 for _ in rates)] for k in (0, 1))
+        names = [*targets, *rates]
+        words = [setting("plant.outputs", names), setting("plant.low", low), setting("plant.high", high)]
+        if not _words_of_commands:
+            words = [setting("plan.task", dict(zip(names, zip(low, high, strict=True), strict=True)))]
+        parts += [f"it helps to track {' and '.join(rates)} as well, which are 0 at rest: {' '.join(words)}"]
     parts += [f"still ringing, decaying: {_few(ringing)}"] if ringing else []
     parts += [f"running on, which nothing depends on: {_few(idle)}"] if idle else []
     return "; ".join(parts)
@@ -446,6 +455,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.resampled": "{count} of {total} sampling times are not {dt:g} s; states were resampled by splines, inputs, "
     "taken as held, by means. If only the times were written late, give a counter as the time and {dt:data.dt}",
     "log.stop": "{count:# sample|# samples} with {state} at {value:g}, a stop or saturation, {count:was|were} masked",
+    "log.followed": "{columns:list} move in steps that another column follows, and are left out as references; if they "
+    "are states, give {states:data.states}",
     "log.held_states": "{states:list} stand still in most rows, as commands do, sensors that failed, and samples "
     "that are repeated; name commands in <data.inputs>, and write repeated samples as empty cells",
     "log.guessed_inputs": "taken as input: {inputs:list}, {named:by name, as others follow|by steps where all others "
@@ -537,6 +548,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "rates out",
     "fit.linear_inputs": "taken to move in straight lines between samples, not to be held, as the model then predicts "
     "better: {inputs:and}",
+    "fit.disturbance": "no sensor sees {state}, which pushes the plant at random and fades within {seconds:.3g} s; it "
+    "is estimated from past samples, and with it the model predicts better",
     "fit.hidden_states": "no sensor sees {states:and}, states of a linear model that are estimated from past samples; "
     "with them the model predicts better",
     "fit.behind": "{state} up to {seconds:time} ahead was predicted {factor:.3g} times as well by the best simple "
@@ -547,6 +560,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "model.delay": "the inputs act {seconds:time} late, by a delay or a lag of about that",
     "model.dry_friction": "{state}' has dry friction",
     "model.lag_state": "{state}, seen by no sensor, follows {signal} with a time constant of {seconds:.3g} s",
+    "model.idle_state": "{states:and} stand in no equation; what no sensor sees needs a first guess of the equations, "
+    "as in {initial:plant.initial}, with numbers of your plant",
     "model.predicts": lambda seconds, exact: (
         f"this model predicts {format_duration(seconds)} ahead"
         + f", and {', '.join(exact)} as exactly as the sensors can tell" * bool(exact)
@@ -648,5 +663,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "the one nearest to {wanted:g} s",
     "control.restless": "at rest {input} still changes by {percent:.2g} % of its range from period to period, on "
     "average: see that the actuator stands it",
+    "control.beyond_targets": "references of {output} in scenario '{scenario}' go from {least:.3g} to "
+    "{most:.3g}{unit:unit}, its targets from {low:.3g} to {high:.3g}{unit:unit}: train with <plant.signals=null> to "
+    "keep within these",
 }
 """What is said of each finding: a template, or a function of its values."""

@@ -408,5 +408,5 @@ def log_report(model: SindyModel, prediction: Forecast) -> str:
         title = f"{prediction.evaluation.title}, {prediction.place}"
         shown = prediction.evaluation
         table = to_text(shown.summary(), title, shown.state_units, shown.told_steady_seconds)
-        text += [table, *lines(shown.restless), ""]
+        text += [table, *lines([*shown.beyond_targets, *shown.restless]), ""]
     return "\n".join([*text, prediction.summary()])

@@ -18,6 +18,7 @@ def main(cfg: Any) -> None:
     from dynasindy.evaluation.tracking_criteria import WITHIN, judge_control, judge_tracking
     from dynasindy.progress import say
     from dynasindy.safe_io import output_folder
+    from dynasindy.sentences import lines
     from dynasindy.sindy import SindyModel
     from dynasindy.viz.animation import animate
     from dynasindy.viz.response import draw_evaluation
@@ -39,7 +40,7 @@ def main(cfg: Any) -> None:
         if cfg.animate:
             animate(result, out / f"{scenario.name}.gif")
         table = to_text(result.summary(), result.title, result.state_units, result.told_steady_seconds)
-        say(table, "")
+        say(table, *lines(result.beyond_targets), "")
         rerun = partial(evaluate, env, policy, scenario, observer) if env.system.known else None
         _, verdict = judge_control([judge_tracking(result, system, rerun)], within)
         verdicts.append(f"  {scenario.name}: {verdict}")

@@ -89,6 +89,18 @@ def _standing(column: Array) -> float:
     return 1 - int(np.count_nonzero(np.diff(column))) / max(len(column) - 1, 1)
 
 
+def _is_followed(column: Array, others: Iterable[Array]) -> bool:
+    """Tell whether a column moves in steps that another one follows, as a reference does that a plant is taken to."""
+    # Unlike a plant, a slow sensor of the same is there from the beginning of a step.
+    steps = np.flatnonzero(np.diff(column)) + 1
+    if _standing(column) <= HELD or len(steps) < 4:
+        return False
+    rows, level = np.stack([steps[:-1], steps[1:] - 1]), column[steps[:-1]]
+    size = np.abs(level - column[steps[:-1] - 1])
+    left = (np.median(np.abs(x[rows] - level) / size, axis=1) for x in others)
+    return any(first > 0.7 and last < 0.3 for first, last in left)
+
+
 def _alike(name: str, units: Mapping[str, str]) -> list[str]:
     """Return the names of one unit that differ in the number at their end alone, as `Heater 2` from `Heater 1`."""
     number = re.compile(r"[\W_]*\d+$")
@@ -143,11 +155,34 @@ def _in_steps(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[st
     most = 0.5 * min((standing[name] for name in found), default=0.0)
     if not found or any(share >= most for name, share in standing.items() if name not in found):
         return []
-    pair = _alike(found[0], units)
-    if not {*found} <= {*pair} and (len({units[name] for name in found}) > 1 or not units[found[0]]):
+    kind = {*_alike(found[0], units), *_find_similar(found[0], columns, units)}
+    pair = [name for name in columns if name in kind]
+    if not {*found} <= kind:
         return []
-    found = pair if len(found) < len(pair) < len(columns) else found  # columns of one matrix are no pair
+    found = pair if len(pair) < len(columns) else found  # columns of one matrix are no pair
     return found if len(found) < len(columns) else []
+
+
+def _find_similar(name: str, columns: Mapping[str, Array], units: Mapping[str, str]) -> list[str]:
+    """Return columns of one unit in steps, or of one name but for a word, that act more than they are moved.
+
+    `V_yaw [V]` beside `V_pitch [V]` is one. An input that a controller makes of states moves in every row, and these
+    predict little of it.
+    """
+    words = {each: re.findall(r"[^\W\d_]+|\d+", each) for each in columns}
+    found = list[str]()
+    for each, own in words.items():
+        differ = sum(a != b for a, b in zip(own, words[name])) if len(own) == len(words[name]) > 1 else 2
+        in_steps, moves = bool(units[each]) and _standing(columns[each]) > HELD, np.abs(np.diff(columns[each]))
+        if (differ > 1 and not in_steps) or units[each] != units[name] or _is_measured(each, units[each]):
+            continue
+        others = [other for other in columns if other != each]
+        acts = max((_predicted_by(columns[each], columns[other]) for other in others), default=0.0)
+        moved = max((_predicted_by(columns[other], columns[each]) for other in others), default=0.0)
+        # No state jumps, however noisy it is.
+        if acts > 2 * moved and moves.max() > JUMP * np.quantile(moves, 0.95):
+            found.append(each)
+    return found
 
 
 def infer(
@@ -209,14 +244,22 @@ def infer(
     else:
         found = _chosen(columns, inputs)
     leave("label", [name for name, column in left().items() if _is_label(column)])
+    rest = left()
+    followed = [n for n in rest if n not in named and _is_followed(rest[n], [rest[m] for m in rest if m != n])]
     guessed = not found and inputs is None and timed
     if guessed:
-        acting, stepping = ([n for n in find(left(), units) if n not in named] for find in (_actuators, _in_steps))
+        free = {n: column for n, column in rest.items() if n not in followed and n not in named}
+        acting = [n for n in _actuators(rest, units) if n not in named]
+        # What moves in steps and no other follows is no reference, and drives what is called as an actuator, too.
+        stepping = _in_steps(free, units)
         # A place that an encoder reads stands still as well.
-        found = (acting if all(_is_measured(name, units[name]) for name in stepping) else stepping) or stepping
-        acting = found if found == acting else []
+        read = all(_is_measured(name, units[name]) for name in stepping)
+        found = (acting if read else stepping) or stepping or _in_steps(rest, units)
+        found, acting = [n for n in found if n not in named], found if found == acting else []
+    led = [name for name in followed if name not in found]
+    leave("followed", led)
     leave("label", [name for name, column in left().items() if _is_label(column, rarely=False)])
-    references = [moves[name] for name, reason in why.items() if reason == "reference" and name in moves]
+    references = [moves[name] for name, reason in why.items() if reason in ("reference", "followed") and name in moves]
     for reason, names in _dependent(left(), references, [moves[name] for name in found if name in moves]).items():
         leave(reason, names)
     driven = [name for name, column in left().items() if _acts_at_once(column, [moves[n] for n in found if n in moves])]
@@ -230,6 +273,7 @@ def infer(
             for name, kind in why.items()
             if name not in numeric or (kind in ("constant", "counter") and INPUT.fullmatch(name))
         }
+        led = []
     out = list[Finding]()
     for reason in LEFT_OUT:
         those: Any = [name for name, kind in why.items() if kind == reason]
@@ -249,6 +293,8 @@ def infer(
     still = [name for name in left() if name in chosen and states is None and _is_held(moves[name], moving)]
     if still:
         out.append(weak("log.held_states", states=still))
+    if led:
+        out.append(weak("log.followed", columns=led, states=[*chosen, *led]))
     if guessed:
         out.append(weak("log.guessed_inputs", inputs=found, states=chosen, named=bool(acting)))
     driving = {name: columns.get(name, Column(name)) for name in found}
@@ -391,6 +437,8 @@ FEW, WIDEST, EXACT = 5, 40, 1e-5
 which it may differ, as one of few digits does."""
 NOISE = 0.7
 """Part of its variance that no row before foretells by which a column is noise beside smooth ones."""
+JUMP = 5.0
+"""Times by which an input changes most beyond what nearly all of its changes are; of noise it is twice."""
 HELD = 0.5
 """Share of the rows with the same number as before beyond which a column moves in steps."""
 

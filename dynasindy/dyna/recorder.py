@@ -241,7 +241,7 @@ class Recorder(Callback):
             unexplained = [weak("model.unexplained", shares=large)] if large else []
         thin = thin_margin(*loop) if loop and verdict.controlled else []
         ended = [] if verdict.controlled else final.ended_runs(getattr(plant.system, "ends", None))
-        findings = [*ended, *unexplained, *thin, *verdict.findings]
+        findings = [*final.beyond_targets, *ended, *unexplained, *thin, *verdict.findings]
         metrics["verdict"] = {"usable": verdict.usable, "controlled": verdict.controlled}
         metrics["findings"] = [*self.excitation, *records(findings)]
         write_json(self.folder / "metrics.json", metrics)

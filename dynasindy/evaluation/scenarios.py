@@ -28,7 +28,7 @@ from dynasindy.envs import ControlEnv, Reference, Step, Tracking
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, Summary, steady_seconds, tracking_metrics
-from dynasindy.findings import Finding, weak
+from dynasindy.findings import Finding, note, weak
 from dynasindy.limits import Positive
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import checked_class, file_name, write_csv, write_json
@@ -45,6 +45,10 @@ INSIDE = 0.75
 RESTLESS = 0.02
 """Mean change of an input from one control period to the next, in the steady state, beyond which it is told [its range
 from -1 to 1 counts as 2]."""
+ROUNDING = 1e-4
+"""What a reference may lie beyond its ends by, as float32 rounds it [ranges of the targets]."""
+SINGLE = 1e-6
+"""The same as a share of the ends themselves, where the range is none or small."""
 
 
 @checked_class
@@ -113,6 +117,7 @@ class Evaluation:
         metrics: Per row, see `dynasindy.evaluation.metrics`.
         windows: Times `(start, end)` at which the plant was disturbed [s], where that was not all the time.
         boxes: Extents of the outputs' targets, `(n_r,)`, of an angle one turn at most; one of each unit if empty.
+        ends: Lower and upper end of the targets of each tracked state [its unit]; empty if no task tells them.
     """
 
     scenario: str
@@ -123,6 +128,7 @@ class Evaluation:
     metrics: dict[str, Tensor]
     windows: tuple[Window, ...] = ()
     boxes: tuple[float, ...] = ()
+    ends: tuple[tuple[float, float], ...] = ()
 
     @property
     def steady_seconds(self) -> float:
@@ -242,6 +248,20 @@ class Evaluation:
         better = int((costs < costs[row]).sum())
         others = f"{better} others {'have a smaller error' if tracked else 'earn more'}"
         return row, f"episode {row + 1} of {number}{why}; {others}"
+
+    @property
+    def beyond_targets(self) -> list[Finding]:
+        """Which references lie beyond the ends of the targets that were given for the plant."""
+        findings = []
+        for i, (low, high) in enumerate(self.ends):
+            name, unit = self.output_names[i], self.units[self.output_names[i]]
+            asked = self.references[..., i]
+            least, most = float(asked.min()), float(asked.max())
+            room = max(ROUNDING * (high - low), SINGLE * max(abs(low), abs(high)))
+            if least < low - room or most > high + room:
+                facts = {"output": name, "scenario": self.scenario, "unit": unit, "least": least, "most": most}
+                findings.append(note("control.beyond_targets", **facts, low=low, high=high))
+        return findings
 
     @property
     def restless(self) -> list[Finding]:
@@ -418,8 +438,9 @@ def evaluate(
     windows = tuple((start, end) for start, end in scenario.windows or ()) if scenario.plant else ()
     until, floor = min((start for start, _ in windows), default=math.inf), noise[outputs].nan_to_num(posinf=0.0)
     metrics = tracking_metrics(time, y, r, u, boxes, until, floor)
+    ends = tuple(zip(*task.ends, strict=True)) if isinstance(task, Tracking) and task.ends else ()
     extents, columns = tuple(boxes.tolist()), tuple(outputs)
-    return Evaluation(scenario.name, signature, columns, time, trajectory, metrics, windows, extents)
+    return Evaluation(scenario.name, signature, columns, time, trajectory, metrics, windows, extents, ends)
 
 
 def _run(

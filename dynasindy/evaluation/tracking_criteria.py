@@ -28,6 +28,9 @@ UNREST = 0.5
 LONGER = (5.0, 20.0)
 """Multiples of a run's length in which it shows whether a state that has not come to rest at its end is about to; the
 larger one where the smaller one does not show it, as of long chains."""
+OF_CHANGE = 0.1
+"""Part of a state's change that may differ from another state, its rate: the trapezoidal rule errs by a tenth where it
+swings once in six control periods."""
 DECAYED = 0.7
 """Share of its motion at the end of a run that such a state may still have there."""
 
@@ -45,6 +48,8 @@ class TrackingCriteria:
         swings: Those of `away` that stay near and only do not come to rest.
         ringing: States that have not come to rest either, and do so in longer runs; they are none of `away`.
         turned: Outputs whose targets reach over a turn or more, and whose errors are shares of one turn.
+        targets: Lower and upper end of the targets of each output [its unit]; none where no task tells them.
+        rates: States that are rates of those of `away`, or are in it and rates of others: they are zero at rest.
         moving: Whether no reference rests at the end, so that outputs lag behind.
     """
 
@@ -55,6 +60,8 @@ class TrackingCriteria:
     swings: dict[str, float] = field(default_factory=dict)
     ringing: dict[str, float] = field(default_factory=dict)
     turned: list[str] = field(default_factory=list)
+    targets: dict[str, tuple[float, float]] = field(default_factory=dict)
+    rates: list[str] = field(default_factory=list)
     moving: bool = False
 
 
@@ -96,6 +103,8 @@ def judge_tracking(
                 if decaying.issuperset(swinging):
                     break
     ringing = {names[i]: gone.pop(i) for i in swinging if i in decaying}
+    pairs = _rates(evaluation) if gone and evaluation.columns else []
+    rates = {j for i, j in pairs if matter[i] and {i, j} & {*gone} and j not in evaluation.columns}
     return TrackingCriteria(
         share=_named(evaluation, errors.mean(0)),
         worst=_named(evaluation, errors.amax(0)),
@@ -108,6 +117,8 @@ def judge_tracking(
             for (name, unit), box in zip(evaluation.units.items(), evaluation.boxes, strict=False)
             if box >= turn_of(unit)
         ],
+        targets=dict(zip(evaluation.output_names, evaluation.ends, strict=False)),
+        rates=[names[j] for j in sorted(rates)],
         moving=moving,
     )
 
@@ -141,14 +152,29 @@ def judge_control(
             told |= {"share": max(told["share"], share_of_runs), "swings": told["swings"] and name in flight.swings}
     controlled = False if missed or away else True if outputs else None
     ringing = dict.fromkeys(name for flight in flights for name in flight.ringing if name not in away)
-    idle = sorted({name for flight in flights for name in flight.idle})
+    idle, rates = (sorted({name for flight in flights for name in getattr(flight, of)}) for of in ("idle", "rates"))
     facts |= {"controlled": controlled, "outputs": outputs, "within": within, "lost": lost, "away": away}
     facts |= {"moving": first.moving, "ringing": [*ringing], "idle": idle}
+    # Where outputs are not held either, it is not for a state that nobody asked to come to rest.
+    if away and rates and first.targets and not missed:
+        facts |= {"rates": rates, "targets": first.targets}
     return controlled, (wrong if controlled is False else note)(code, **facts)
 
 
 def _number(share: float | None) -> float:
     return math.inf if share is None else share
+
+
+def _rates(evaluation: Evaluation) -> list[tuple[int, int]]:
+    """Return the states whose change is another state, and that state, as the trajectory shows."""
+    x = evaluation.trajectory["state"].double()
+    change, mean = x.diff(dim=1), 0.5 * (x[:, 1:] + x[:, :-1])
+    step, found = float(evaluation.time[1] - evaluation.time[0]), []
+    for i in range(x.shape[-1]):
+        own = change[..., i : i + 1]
+        near = (own - step * mean).abs().sum((0, 1)) < OF_CHANGE * own.abs().sum()
+        found += [(i, j) for j in near.nonzero().flatten().tolist() if i != j]
+    return found
 
 
 def _decaying(evaluation: Evaluation, longer: Evaluation) -> set[int]:

@@ -362,7 +362,10 @@ def _errors_by_horizon(forecasts: ForecastErrors, signature: Signature) -> dict[
 
 def _errors(model: SindyModel) -> list[str]:
     if model.covariance is None:
-        return ["", "coefficients have no standard errors (±): none was fitted by a refinement, which tells them"]
+        why = "none of them was fitted"
+        if bool((model.constraints.free & (model.coefficients != 0)).any()):
+            why = "the refinement, which tells them, found no equations, or ones that run away from the data"
+        return ["", f"coefficients have no standard errors (±): {why}"]
     return ["", "coefficients and their standard errors", *_coefficient_lines(model, model.covariance)]
 
 

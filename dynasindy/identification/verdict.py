@@ -21,9 +21,11 @@ from dynasindy.systems.transitions import Transitions
 
 RESOLVED = 2.0
 """Error up to which a prediction is as good as a sensor can tell [what the sensor resolves]."""
-BEHIND, BETTER = 0.5, 0.9
+BEHIND, BETTER, OFTEN = 0.5, 0.9, 0.97
 """Parts of a model's error that a linear model on past samples may have, below which something is missing, and below
-which it is the better one."""
+which it is the better one; so it is where that is less clear and at several horizons."""
+SEVERAL = 3
+"""Horizons at which a linear model is ahead by no chance."""
 SMALL = 1e-3
 """Error of a model that is small enough, whatever others make of it [ranges of the state]."""
 ROUNDED = 1e-5
@@ -110,8 +112,8 @@ def linear_better(forecasts: ForecastErrors, signature: Signature) -> list[Findi
     large = (forecasts.model > small) & (forecasts.linear < forecasts.held)
     for i in range(n_x):
         ratio = torch.where(large[:, i], forecasts.linear[:, i] / forecasts.model[:, i], math.inf)
-        worse = [[k for k in range(horizons) if float(ratio[k]) < limit] for limit in (BEHIND, BETTER)]
-        if not (places := worse[0] or worse[1]):
+        worse = [[k for k in range(horizons) if float(ratio[k]) < limit] for limit in (BEHIND, BETTER, OFTEN)]
+        if not (places := worse[0] or worse[1] or worse[2] * (len(worse[2]) >= SEVERAL)):
             continue
         k, far = places[0], bool(worse[0])
         facts = {"state": signature.state_names[i], "unit": signature.state_units[i], "far": far}
@@ -318,3 +320,21 @@ def dry_friction(model: SindyModel) -> list[list[int]]:
         steep = ((k, f) for k in rows for f in features[k].factors if f.function == "tanh" and name in f.variables)
         found.append([k for k, f in steep if f.frequency * size >= FULL])
     return found
+
+
+def idle_states(model: SindyModel, data: Transitions) -> list[Finding]:
+    """Return which hidden states stand in no equation, and an example of a first guess of their equations.
+
+    Args:
+        model: A fitted model.
+        data: The log, NaN where a state was not measured.
+    """
+    names, inputs = model.signature.state_names, model.signature.input_names
+    read = _variables(_used(model.library.features, model.coefficients.any(-1)))
+    idle = data.x.isnan().all(0) & ~model.coefficients.any(0)
+    still = [n for n, each in zip(names, idle.tolist(), strict=True) if each and n not in read]
+    if not still:
+        return []
+    seen = next((name for name, blind in zip(names, data.x.isnan().all(0).tolist(), strict=True) if not blind), "")
+    first = {still[0]: {inputs[0]: 0.1, still[0]: -0.1}, seen: {still[0]: 0.1}}
+    return [weak("model.idle_state", states=still, initial=first)]

@@ -180,6 +180,19 @@ def test_a_reference_is_left_out_by_its_name_unless_it_is_named(tmp_path, name):
     assert LoggedData(str(path), inputs=[name]).recording(None).signature.input_names == (name,)
 
 
+def test_a_reference_by_another_name_is_one_by_what_follows_it_and_a_slow_sensor_is_none(tmp_path):
+    loop, path = closed_loop(), tmp_path / "log.csv"
+    slow = loop["y"][np.arange(len(loop["y"])) // 40 * 40]
+    for second, states in ((loop["r"], ("y",)), (slow, ("a", "y"))):
+        write(path, "t,a,y,u", loop["t"], second, loop["y"], loop["u"])
+        found = LoggedData(str(path)).recording(None)
+        assert found.signature.state_names == states
+        assert ("log.followed" in codes(found)) == (states == ("y",))
+    held = np.repeat(np.random.default_rng(5).uniform(-1, 1, 75), 20)
+    found = LoggedData(str(write(path, "t,a,y,drive", loop["t"], loop["r"], loop["y"], held))).recording(None)
+    assert found.signature.input_names == ("drive",) and codes(found)["log.followed"].severity == "weak"
+
+
 def test_columns_that_move_in_steps_are_the_inputs_where_no_heading_says_so_and_others_are_not(tmp_path):
     t = np.arange(600.0)
     rng = np.random.default_rng(4)
@@ -263,6 +276,10 @@ def test_inputs_are_called_as_actuators_are_and_move_what_follows(tmp_path, head
     assert [each.values["named"] for each in guessed] == [True] * ("command" not in headings)
 
 
+HELICOPTER = simulated(
+    lambda x, u: (x[2], x[3], 2 * u[0] + 0.6 * u[1] - x[0] - x[2], 4 * u[1] - 0.3 * u[0] - x[3]),
+    [lambda x, a=a, b=b: (a, b - 2 * x[1]) for a, b in np.random.default_rng(8).uniform(-1, 1, (50, 2)).repeat(30, 0)],
+)
 TANKS_OF_TWO = simulated(
     lambda x, u: (2 * u[0] - u[1] - x[0], 3 * u[1] - x[1]),
     [lambda x, a=a, b=b: (a, b) for a, b in np.random.default_rng(7).uniform(0, 9, (50, 2)).repeat(30, 0)],
@@ -276,12 +293,14 @@ LAGS = simulated(
 @pytest.mark.parametrize(
     ("names", "columns", "inputs"),
     [
+        ("pitch,yaw,pitch rate,yaw rate,V_pitch [V],V_yaw [V]", HELICOPTER, ["V_pitch", "V_yaw"]),
+        ("pitch,yaw,pitch rate,yaw rate,V_pitch [V],V_yaw [rad]", HELICOPTER, ["V_pitch"]),
         ("x middle,x out,x in", LAGS, ["x in"]),
         ("warm,moist,heater [%],vent [%]", [*TANKS_OF_TWO], ["heater", "vent"]),
         ("warm,moist,heater [%],vent [cm]", [*TANKS_OF_TWO], ["heater"]),
     ],
 )
-def test_columns_of_one_unit_that_move_in_steps_are_inputs_together(tmp_path, names, columns, inputs):
+def test_an_input_that_a_controller_makes_of_states_is_of_a_kind_with_one_in_steps(tmp_path, names, columns, inputs):
     path, noise = tmp_path / "log.csv", np.random.default_rng(5).normal(0, 0.003, (len(columns), len(LONG)))
     noise[-1 if "x in" in names else -2 :] = 0
     table = np.stack([LONG, *(columns + noise * np.ptp(columns, 1, keepdims=True))], 1)

@@ -248,6 +248,17 @@ def test_a_large_error_a_lost_reference_and_a_state_that_runs_away_are_no_contro
     assert set(told.values["away"]) == set(held.get("away", {})) and words in str(told)
 
 
+@pytest.mark.parametrize(("share", "helps"), [(0.004, True), (0.4, False)])
+def test_what_does_not_come_to_rest_beside_outputs_that_are_held_is_to_be_tracked(monkeypatch, share, helps):
+    held = {"share": {"p": share}, "worst": {"p": share}, "away": {"q": 1.0}, "rates": ["v"]}
+    held |= {"targets": {"p": [-1.0, 1.0]}}
+    told = judge_run(metrics(-2.0, -1.0, **held)).findings[1]
+    assert told.values.get("targets") == ({"p": [-1.0, 1.0]} if helps else None)
+    assert ("{'p': (-1.0, 1.0), 'v': (0.0, 0.0)}" in str(told)) is helps
+    monkeypatch.setattr("dynasindy.sentences._words_of_commands", True)
+    assert ("plant.outputs=[p,v] plant.low=[-1,0] plant.high=[1,0]" in str(told)) is helps
+
+
 def test_a_mileage_that_runs_on_is_named_and_no_failure():
     verdict = judge_run(metrics(-2.0, -1.0, idle={"way": 1.0}))
     assert verdict.controlled and verdict.findings[1].values["idle"] == ["way"]

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from controllers import angle_task
 from plants import Plant
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from dynasindy.envs import ControlEnv, RandomStep, Step, Tracking, TrackingReward
+from dynasindy.envs import ControlEnv, RandomStep, Step, Tracking, TrackingReward, Wave, wave
 from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, to_text, tracking_metrics
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
@@ -280,6 +281,24 @@ def test_only_what_rests_has_a_steady_state_to_read(signal, kept):
     text = to_text(summary, units=made.units, steady=made.told_steady_seconds)
     assert summary["steady_state_error/h"] is not None and "mean abs error [m]" in text
     assert ("steady-state error" in text) == kept
+
+
+def test_references_beyond_the_targets_of_the_plant_are_told_and_others_are_not() -> None:
+    env = ControlEnv(Pendulum(), angle_task(Step([[0.1]]), low=[-0.3], high=[0.4]), substeps=1)
+
+    def still(td):
+        return td.set("action", torch.zeros(*td.batch_size, 1))
+
+    own = Wave([0.35], [1.0], "square")
+    (told,) = evaluate(env, still, Scenario("square", own, seconds=2.0)).beyond_targets
+    assert (told.code, told.values["output"], told.values["scenario"]) == ("control.beyond_targets", "theta", "square")
+    ends = [told.values[name] for name in ("least", "most", "low", "high")]
+    assert ends == pytest.approx([-0.35, 0.35, -0.3, 0.4])
+    derived = wave("square", [-0.3], [0.4], 20, 0.05)
+    assert evaluate(env, still, Scenario("square", derived, seconds=2.0)).beyond_targets == []
+    assert evaluate(env, still, Scenario("step", Step([[0.4], [-0.3]]), 2, 1.0)).beyond_targets == []
+    upright = angle_task(Step([[math.pi]]), low=[math.pi], high=[math.pi])
+    assert evaluate(ControlEnv(Pendulum(), upright), still, Scenario("step", seconds=1.0)).beyond_targets == []
 
 
 def test_json_holds_the_summary_and_csv_one_row(tmp_path: Path) -> None:

@@ -17,13 +17,17 @@ TIME = torch.arange(0, 20, 0.05)
 
 
 class Plant(System):
-    """A plant whose rates depend on all states but its way."""
+    """A plant whose rates depend on some of its states."""
+
+    def __init__(self, *matter):
+        super().__init__(SIGNATURE)
+        self.matter = torch.tensor(matter)
 
     def forward(self, x, u):
-        return (x[..., :1] + x[..., 1:2]).expand_as(x)
+        return (self.matter * x).sum(-1, keepdim=True).expand_as(x)
 
 
-PLANT = Plant(SIGNATURE)
+PLANT = Plant(1.0, 1.0, 0.0)
 
 
 def evaluation(x, r=None):
@@ -62,6 +66,19 @@ def test_a_state_that_swings_has_not_come_to_rest():
     assert swinging.away == swinging.swings == {"theta": 1.0}  # 0.4 of a range of 0.5
     assert not judge(states(theta=0.1 * torch.sin(3 * TIME))).away
     assert not judge(states(theta=torch.where(TIME < 14.9, 3.0, 0.0))).away
+
+
+def test_the_rate_of_what_does_not_come_to_rest_is_found_in_its_motion():
+    def rates(x):
+        return judge_tracking(evaluation(x), Plant(1.0, 1.0, 1.0)).rates
+
+    angle, rate = 0.3 * torch.sin(3 * TIME) + 0.1, 0.9 * torch.cos(3 * TIME)
+    assert rates(states(theta=angle, way=10 * rate)) == []  # ten times as fast
+    assert rates(states(theta=angle, way=rate)) == ["way"]
+    assert rates(states(theta=rate, way=angle)) == ["theta"]
+    assert rates(states(p=angle, theta=2.0 * TIME)) == []
+    assert rates(states(theta=30.0 * TIME, way=30.0)) == ["way"]  # runs away at an even rate
+    assert rates(states(theta=0.1, way=0.0)) == []
 
 
 def ringing(damping, half=math.inf, amplitude=0.2, period=6.0):

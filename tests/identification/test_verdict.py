@@ -13,6 +13,7 @@ from dynasindy.identification.forecast_errors import ForecastErrors
 from dynasindy.identification.identify import table
 from dynasindy.identification.verdict import (
     equation_findings,
+    idle_states,
     inputs_beyond_log,
     logged_input_ranges,
     model_findings,
@@ -278,3 +279,38 @@ def report_of(model: SindyModel, apart: float) -> FitReport:
     columns = torch.tensor([[1.0, math.cos(math.asin(apart))], [0.0, apart]], dtype=torch.float64)
     factor = TriangularFactor((columns, torch.zeros(2, 1, dtype=torch.float64)))
     return FitReport(model.library, model.coefficients, factor, 0.0, 2, dt=0.01)
+
+
+def log_of(*columns: float) -> Transitions:
+    """Return a log of such states, each of one value."""
+    return Transitions.from_trajectory(torch.tensor([columns] * 9, dtype=torch.float64), torch.zeros(8, 1), 0.1)
+
+
+def test_a_hidden_state_is_none_that_is_measured_through_its_rate_or_that_follows():
+    signature = Signature(("q", "w", "h", "u_lagging"), ("rad", "rad/s", "m", "1"), ("u",), (1.0,) * 4)
+    words = ["q", "w", "h", "u", "(u - u_lagging)"]
+    model = SindyModel(signature, words, known={"q": "w"}, allowed={"u_lagging": ["(u - u_lagging)"]})
+    model.coefficients[words.index("(u - u_lagging)"), 3] = 1.0
+    (told,) = idle_states(model, log_of(1.0, math.nan, math.nan, math.nan))
+    assert told.values["states"] == ["h"]
+    assert idle_states(model, log_of(1.0, 1.0, 1.0, math.nan)) == []
+
+
+def test_a_hidden_state_in_no_equation_is_said_to_need_a_first_guess_and_how_it_is_given():
+    signature = Signature(("upper", "lower"), ("m", "m"), ("u",), (1.0, 1.0))
+    model, log = SindyModel(signature, ["upper", "lower", "u"]), log_of(math.nan, 1.0)
+    (told,) = idle_states(model, log)
+    assert (told.code, told.severity) == ("model.idle_state", "weak") and told.values["states"] == ["upper"]
+    example = {
+        "upper": {"u": 0.1, "upper": -0.1},
+        "lower": {"upper": 0.1},
+    }  # it is moved, fades, and moves what is seen
+    assert told.values["initial"] == example
+    guessed = SindyModel(signature, ["upper", "lower", "u"], initial=told.values["initial"])
+    assert bool(guessed.initial[:, 0].any())  # as it is given
+    assert idle_states(model, log_of(1.0, 1.0)) == []  # it was measured
+    for place in ((0, 1), (2, 0)):  # it moves the lower level, or is moved
+        coefficients = torch.zeros_like(model.coefficients)
+        coefficients[place] = 0.3
+        model.set_coefficients(coefficients)
+        assert idle_states(model, log) == []
