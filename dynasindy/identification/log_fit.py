@@ -698,7 +698,7 @@ class _Search:
         """Try hidden states behind each state that a simple model predicts better; the other equations stay."""
         of, signature = self.best, self.source.signature
         linear = of.structure is not None and not self.given.given_known
-        if linear or signature.n_x == 1 or self._hidden_states(of.model):
+        if linear or signature.n_x == 1 or {*self._hidden_states(of.model)} - {*fading_states(of.model)}:
             return  # it would be a linear model, or have some already
         judged = zip(self.folds, of.errors, strict=False)
         ratios = torch.stack([fold.ratios(errors).nanmean(0) for fold, errors in judged]).nanmean(0).nan_to_num()
