@@ -343,7 +343,7 @@ def table(forecasts: ForecastErrors, signature: Signature) -> list[str]:
         if np.isnan(columns[-1]).all():
             continue
         fine = "whose sensor shows no noise"
-        fine = fine if finest < FINEST * scale else f"a step, or the noise, of its sensor is {error_of(finest)}"
+        fine = fine if finest < FINEST * scale else f"read to {error_of(finest)} by its sensor"
         cells = [[error_of(math.inf if e > LOST * scale else e) for e in errors] for errors in columns]
         rows = pd.DataFrame(dict(zip(kinds, cells, strict=True)), heads).to_string(col_space=11)
         text += [f"  {name} [{unit}], {fine}", *(f"    {row}" for row in rows.split("\n"))]

@@ -109,7 +109,7 @@ def test_measured_states_that_are_predicted_are_those_to_keep_beside_others_that
 def test_the_table_holds_measured_states_alone():
     head, state, kinds, *rows = table(forecasts(0.002), SIGNATURE)[:6]
     assert "past" in head and kinds.split() == ["model", "linear", "model", "last", "value", "held"]
-    assert state == "  q [rad], a step, or the noise, of its sensor is 0.0015"
+    assert state == "  q [rad], read to 0.0015 by its sensor"
     assert rows[1].split() == ["2", "s", "0.002", "1", "0.1"]
     assert not any("v [" in line for line in table(forecasts(0.002), SIGNATURE))
 
