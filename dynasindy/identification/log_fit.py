@@ -95,6 +95,8 @@ BEHIND_BY = 1.03
 """Factor on the error of the best simple model beyond which a finding says that it predicts better."""
 PRICES, SURE = (1.0, 2.0), 0.1
 """Factors on what a function must be worth; standard error below which it is worth any of them [coefficients]."""
+LOSS = 0.1
+"""Score by which a fit to all data may be worse, by chance, than the one that was judged."""
 HOPELESS = 1.0
 """Score behind the best one beyond which nothing dearer is tried of a candidate."""
 FAR_BEHIND = 0.5
@@ -682,8 +684,8 @@ class _Search:
             del self.tried[known:]
 
     def _hidden_states(self, model: SindyModel) -> list[str]:
-        """Return the states of a model that no sensor sees, but for rates and those that follow a signal."""
-        known = {*self.source.signature.state_names, *rates_of(model).values(), *model.followed}
+        """Return states of a model that no sensor sees, but for rates, disturbances and those that follow a signal."""
+        known = {*self.source.signature.state_names, *rates_of(model).values(), *model.followed, *fading_states(model)}
         return [name for name in model.signature.state_names if name not in known]
 
     def _try_disturbances(self, until: float) -> None:
@@ -698,7 +700,7 @@ class _Search:
         """Try hidden states behind each state that a simple model predicts better; the other equations stay."""
         of, signature = self.best, self.source.signature
         linear = of.structure is not None and not self.given.given_known
-        if linear or signature.n_x == 1 or {*self._hidden_states(of.model)} - {*fading_states(of.model)}:
+        if linear or signature.n_x == 1 or self._hidden_states(of.model):
             return  # it would be a linear model, or have some already
         judged = zip(self.folds, of.errors, strict=False)
         ratios = torch.stack([fold.ratios(errors).nanmean(0) for fold, errors in judged]).nanmean(0).nan_to_num()
@@ -885,27 +887,30 @@ class _Search:
             self._select(best)
 
     def _final(self, best: Candidate, stopped: bool = False) -> LogFit:
-        """Fit the best candidate to all training data, or to the part that it was fitted to where there is no time."""
+        """Fit the best candidate to all training data; to the part that it was fitted to, if it is worse then.
+
+        So it is where there is no time, too.
+        """
+        settings, data, late, fold = best.settings, best.source.training, self.expired, self.folds[0]
+        early = fold.fit_rows(settings.window)
+        linear = zip(best.model.signature.input_names, data.linear_inputs.tolist(), strict=True)
         # Of a long log it is fitted to stretches: what chance leaves of the coefficients is small then.
-        model, settings, late = _warm_started(best.model), best.settings, self.expired
-        if settings.method == "one_step":
-            model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
-        else:
-            settings = replace(settings, rounds=0, select=False)
-        model.refinement, data = settings, best.source.training
-        linear = zip(model.signature.input_names, data.linear_inputs.tolist(), strict=True)
-        model.linear_inputs = tuple(name for name, moves in linear if moves)
-        with reporting_as("fit to all training data"):
-            rows = (
-                self.folds[0].fit_rows(settings.window)
-                if stopped
-                else choose_stretches(len(data), FINAL_ROWS, settings.window)
-            )
+        for rows in (early,) if stopped else (choose_stretches(len(data), FINAL_ROWS, settings.window), early):
+            model = _warm_started(best.model)
+            if settings.method == "one_step":
+                model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
+            else:
+                settings = replace(settings, rounds=0, select=False)
+            model.refinement = settings
             budget = self.refinement.seconds
             until = max(self.began + budget, time.process_time() + LAST_SHARE * budget)
-            with self._time_limit(until if settings.method == "trajectory" else math.inf) as ended:
+            limited = self._time_limit(until if settings.method == "trajectory" else math.inf)
+            with reporting_as("fit to all training data"), limited as ended:
                 report = model.fit(data.select(rows))
+            if fold.score(fold.errors(model, best.source)) < fold.score(best.errors[0]) + LOSS:
+                break
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
+        model.linear_inputs = tuple(name for name, moves in linear if moves)
         errors = [self.folds[0].errors(best.model, best.source, filtered=True)]
         model.memory, model.process_noise = best.model.memory, best.model.process_noise
         for fold, each, _ in list(zip(self.folds, best.models, best.errors, strict=False))[1:]:
@@ -916,11 +921,11 @@ class _Search:
         seconds = self.folds[0].steps[-1] * data.dt
         findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), seconds=seconds)]
         known = self.source.signature.state_names
-        hidden, fading = self._hidden_states(best.model), fading_states(model)
-        findings += [note("fit.disturbance", state=name, seconds=fading[name]) for name in hidden if name in fading]
-        if others := [name for name in hidden if name not in fading]:
-            findings.append(note("fit.hidden_states", states=others))
-        if rates := [name for name in best.states if name not in known and name not in hidden]:
+        fading = {name: time for name, time in fading_states(model).items() if name not in known}
+        findings += [note("fit.disturbance", state=name, seconds=time) for name, time in fading.items()]
+        if hidden := self._hidden_states(model):
+            findings.append(note("fit.hidden_states", states=hidden))
+        if rates := [name for name in best.states if name not in (*known, *hidden, *fading)]:
             findings.append(note("fit.added_rates", states=rates, known={}))
         if model.linear_inputs:
             findings.append(note("fit.linear_inputs", inputs=model.linear_inputs))
