@@ -100,7 +100,7 @@ def _read_text(path: Path, file: TextIO) -> Raw:
     frame.index = pd.RangeIndex(first + 1, first + 1 + len(frame))
     for column, texts in frame.select_dtypes("str").items():
         if (broken := texts.str.contains("[\r\n]")).any():
-            raise _no_table(path, f"a quote opens in line {broken.idxmax()} and not closes there")
+            raise _no_table(path, f"a quote opens in line {broken.idxmax()} and does not close there")
         if decimal == ",":
             frame[column] = texts.str.replace(",", ".", regex=False)
     frame = frame.dropna(how="all")

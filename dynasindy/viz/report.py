@@ -117,7 +117,12 @@ def _run(results: Path, system: str, experiment: str, setting: str = "rollouts_8
 
 
 def _settings(run: Path) -> dict[str, Any]:
-    found: dict[str, Any] = yaml.safe_load(read_text(run / "config.yaml"))
+    text = read_text(run / "config.yaml")
+    with reading(run / "config.yaml"):
+        try:
+            found: dict[str, Any] = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise ValueError(error) from error
     return found
 
 

@@ -134,6 +134,7 @@ def test_steps_and_waves_are_those_of_the_runs(results):
     [
         *(("gate.csv", "model_learning", text) for text in ("", "a,b\n1\n", "episode\nx\n", 'a\n"')),
         *(("model.json", "coefficients", text) for text in ("", "{", "[]", "7", "\x00", "[" * 100_000)),
+        *(("config.yaml", "training_data", text) for text in ("a: [1, 2", "\x00", "\tenv: 1")),
     ],
 )
 def test_a_damaged_file_of_a_saved_run_is_named(copied, name, section, content):
