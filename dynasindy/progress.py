@@ -242,7 +242,7 @@ def say(*texts: str) -> None:
     """Print texts at once: on a terminal within its width and with its colours, elsewhere as they are.
 
     A command stays one line, which the terminal wraps: of two lines, a shell would take the second for another command.
-    So does a row of a table in Markdown, which is to be copied into a page.
+    So does a row of a table in Markdown, which is to be copied into a page, and what holds a longer path than fits.
     """
     active = Progress.active
     if active is not None:
@@ -259,4 +259,5 @@ def say(*texts: str) -> None:
         shown = Text(line)
         for words, colour in COLOURS.items():
             shown.highlight_regex(words, colour)
-        console.print(shown, soft_wrap=bool(COPIED.match(line)), highlight=False)
+        whole = COPIED.match(line) or any(len(word) > console.width for word in line.split())
+        console.print(shown, soft_wrap=bool(whole), highlight=False)

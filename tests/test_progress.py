@@ -166,9 +166,10 @@ def test_a_command_is_one_line_that_can_be_copied_however_narrow_the_terminal(mo
     command = "  dynasindy train system=xi 'plant.known={a:  # b}' train.episodes=3  # flies more episodes"
     script = command.replace("dynasindy train", "PYTHONPATH='/home/my dir' python scripts/train.py")
     screen = in_front(monkeypatch, 40)
-    say(f"next:\n{command}\n{script}", "a sentence that names dynasindy train is none")
+    folder = f"Run folder: /home/{'deep/' * 10}down"
+    say(f"next:\n{command}\n{script}\n{folder}", "a sentence that names dynasindy train is none")
     found = ESCAPE.sub("", screen.getvalue()).splitlines()
-    assert found[:3] == ["next:", command, script] and max(map(len, found[3:])) <= 40
+    assert found[:4] == ["next:", command, script, folder] and max(map(len, found[4:])) <= 40
 
 
 def test_equations_and_sentences_end_between_words(monkeypatch):
