@@ -160,7 +160,7 @@ PAIRS = 200_000
 NUDGE, SLOPE = 1e-6, 1e-4
 """Steps of the differences by which start states are fitted, and by which they are filtered [ranges of the states]."""
 SETTLED = 1e-4
-"""Part of its squared error that no start gains any more, where fits of start states end."""
+"""Part of its squared error that no start gains or loses any more, where fits of start states end."""
 UNKNOWN, LEAST_ERROR = 0.1, 1e-6
 """Standard deviation of a state that no sensor sees where a filter begins, and least error of a sensor [ranges]."""
 HOUR, MANY = 3600.0, 10_000.0
@@ -464,7 +464,7 @@ def estimate(model: SindyModel, data: Transitions, rows: Tensor, length: int) ->
         x = torch.where(better[:, None], trial, x)
         path = torch.where(better[:, None, None], tried, path)
         damping = torch.where(better, damping / 10, damping * 10)
-        if not bool((better & ~(now - then < SETTLED * now)).any()):
+        if bool(((now - then).abs() <= SETTLED * now).all()):  # a step that was refused is tried again, shorter
             break
     end = path[:, -1]
     return x, torch.where(end.isfinite(), end, guess.x[rows + length - 1].double())

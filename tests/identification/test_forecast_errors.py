@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from plants import held_motion
+from plants import held_motion, scipy_motion
 from scipy.linalg import expm
 
 from dynasindy.identification.forecast_errors import (
@@ -52,6 +52,18 @@ def test_a_state_that_no_sensor_sees_is_estimated_from_the_samples_before():
     rows = torch.tensor([100, 400])
     begin, end = estimate(oscillator(), data, rows, 25)
     assert np.allclose(begin, x[[100, 400]], atol=1e-5) and np.allclose(end, x[[125, 425]], atol=1e-5)
+
+
+def test_a_step_that_leads_too_far_does_not_end_the_fit_of_a_start_state():
+    u = np.repeat(np.random.default_rng(0).uniform(-1.5, 1.5, 40), 20)
+    x = scipy_motion(lambda t, x, u: [x[1], -9 * np.sin(x[0]) - 0.1 * x[1] + 5 * u[0]], [0.5, -3.0], u[:, None], 0.05)
+    seen = torch.from_numpy(np.stack([x[:, 0], np.full(len(x), np.nan)], 1))
+    data = Transitions.from_trajectory(seen, torch.from_numpy(u[:, None]), 0.05)
+    model = SindyModel(Signature(("q", "v"), ("rad", "rad/s"), ("u",), (2.0, 5.0)), ["v", "sin(q)", "u"])
+    model.set_coefficients(torch.tensor([[1.0, -0.1], [0.0, -9.0], [0.0, 5.0]]))
+    for row in (0, 120, 510, 660):
+        begin, _ = estimate(model, data, torch.tensor([row]), 80)
+        assert begin[0].tolist() == pytest.approx(x[row], abs=1e-2)
 
 
 def test_a_linear_model_is_fitted_to_a_recording_too_short_to_compare_orders():
