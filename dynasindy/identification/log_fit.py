@@ -714,8 +714,9 @@ class _Search:
                 self._ever_more_states(f"{of.what}, {state} with", chains, measured, until)
 
     def _try_state_space(self, until: float) -> None:
-        """Try linear equations of all states with hidden ones."""
-        for source, moving in ((self.source, ""), (self.source.with_linear_inputs(), LINEAR)):
+        """Try linear equations of all states with hidden ones, first under inputs that move as in the best model."""
+        holds = [(self.source, ""), (self.source.with_linear_inputs(), LINEAR)]
+        for source, moving in holds if self.best.source.training.u_end is None else holds[::-1]:
             if self.best.score > 0 and not self.given.given_known:  # it would have equations of its own
                 parts = [source.training.select(fold.fit_rows()) for fold in self.folds]
                 begun = (state_space_candidates(self.given, part) for part in parts)
