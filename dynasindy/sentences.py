@@ -189,7 +189,7 @@ def _guess(time: str | None, **roles: Sequence[str]) -> str:
     hint = "" if time else " No column grows as time does: log it, or give <data.dt>, the time between two rows."
     given = roles if time in (None, "time") else {"time": time, **roles}
     words = [f"'data.{key}={_flow(v)}'" if _words_of_commands else f"{key}={v!r}" for key, v in given.items()]
-    words += [] if time else [setting("data.dt", "SECONDS")]
+    words += [] if time else [f"{setting('data.dt')}=SECONDS"]
     copied = " ".join(words) if _words_of_commands else f"read(path, {', '.join(words)})"
     return f"{hint} This is a first guess, to be corrected: {copied}"
 

@@ -286,8 +286,8 @@ def infer(
         lacks = "time" if not timed else "states" if found else "inputs"
         numbers = table.of_kind("constant", "counter", "moving")
         facts: dict[str, Any] = {"columns": table.headings, "numbers": numbers, "clock": clock}
-        if numbers:
-            facts["guess"] = _guess_columns(table, clock if timed else None, found)
+        if numbers and (guess := _guess_columns(table, clock if timed else None, found))["states"]:
+            facts["guess"] = guess
         raise LogError("log.no_roles", path=path, lacks=lacks, left_out=out, **facts)
     moving = min((_standing(moves[name]) for name in chosen if name in moves), default=1.0) < HELD
     still = [name for name in left() if name in chosen and states is None and _is_held(moves[name], moving)]

@@ -113,6 +113,12 @@ def test_with_a_sampling_time_a_counter_is_the_time_and_nothing_more_is_asked_fo
     assert found.findings[0] == note("log.row_counter", column="row", dt=0.02)
 
 
+def test_nothing_is_guessed_of_a_log_in_which_one_thing_moves(tmp_path):
+    path = rows_of_a_swing(tmp_path / "a.csv", "time,angle", lambda k: (0.1 * k, math.sin(k)))
+    finding = refused(lambda: LoggedData(path).recording(None))
+    assert finding.values["lacks"] == "inputs" and "guess" not in finding.values
+
+
 def test_a_counter_is_not_the_time_where_something_else_may_be(tmp_path):
     """A time in another language, an encoder that only grows, and a column that was named as a state."""
     two = rows_of_a_swing(tmp_path / "a.csv", "row,Zeit,angle,u", lambda k: (k, 0.1 * k, math.sin(k), k // 4 % 2))
