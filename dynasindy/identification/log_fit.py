@@ -34,7 +34,7 @@ from dynasindy.identification.recording_diagnostics import sensor_errors
 from dynasindy.identification.source import Source, rate_name, rates_of
 from dynasindy.identification.state_space import (
     chain_candidates,
-    fading_states,
+    disturbance_times,
     state_space_candidates,
     with_disturbance,
 )
@@ -545,8 +545,8 @@ class _Search:
                     report = fitted[-1].fit(source.training.select(fold.fit_rows(settings.window)))
                 sought = model.constraints.free.any(0)
                 moves = (fitted[-1].coefficients[:, sought] != 0).any(0)
-                if not bool(moves.all()) or not has_clear_lags(fitted[-1]):
-                    return None  # what moves by nothing is no equation, what moves nothing no state
+                if not bool(moves.all()) or not has_clear_lags(fitted[-1]) or self._drifts(fitted[-1]):
+                    return None  # what moves by nothing is no equation, what moves nothing or only drifts no state
                 if any(each.code == "fit.dropped" for each in report.findings):
                     return None  # of functions that a fit finds useless a regression tells little
                 if fitted[-1].substeps(source.training.dt) >= STIFF:
@@ -685,14 +685,24 @@ class _Search:
 
     def _hidden_states(self, model: SindyModel) -> list[str]:
         """Return states of a model that no sensor sees, but for rates, disturbances and those that follow a signal."""
-        known = {*self.source.signature.state_names, *rates_of(model).values(), *model.followed, *fading_states(model)}
-        return [name for name in model.signature.state_names if name not in known]
+        known = {*self.source.signature.state_names, *rates_of(model).values(), *model.followed}
+        return [n for n in model.signature.state_names if n not in (*known, *self._disturbances(model))]
+
+    def _disturbances(self, model: SindyModel) -> dict[str, float]:
+        """Return the hidden states of a model that nothing moves but noise, and the time in which each fades [s]."""
+        return disturbance_times(model, {*self.source.signature.state_names, *rates_of(model).values()})
+
+    def _drifts(self, model: SindyModel) -> bool:
+        """Tell whether a disturbance hardly fades, as an offset, which equations hold and a plan cannot foresee."""
+        return any(time > self.slow for time in self._disturbances(model).values())
 
     def _try_disturbances(self, until: float) -> None:
         """Try hidden states that add to inputs, one after the other."""
         for signal in self.source.signature.input_names:
             of = self.best
-            models = [with_disturbance(model, signal, self.slow) for model in of.models]
+            if time.process_time() > until or not all(_reads(model, signal) for model in of.models):
+                continue
+            models = [with_disturbance(model, signal, self.slow / 2) for model in of.models]
             wide = of.source.with_unmeasured(models[0].signature)
             self._fit(f"{of.what}, {signal} disturbed", models, wide, self._settings(select=False))
 
@@ -850,7 +860,9 @@ class _Search:
         """
         signature, features = model.signature, model.library.features
         used = {n for k in (model.coefficients != 0).any(-1).nonzero().flatten() for n in features[int(k)].variables}
-        names = [n for n in (*signature.state_names, *signature.input_names) if n in used - {*fading_states(model)}]
+        names = [
+            n for n in (*signature.state_names, *signature.input_names) if n in used - {*self._disturbances(model)}
+        ]
         units = dict(zip(signature.state_names, signature.state_units, strict=True))
         if what == "functions of single states":
             own = self.builder(signature).features if self.builder is not None and self._hidden_states(model) else ()
@@ -908,7 +920,8 @@ class _Search:
             limited = self._time_limit(until if settings.method == "trajectory" else math.inf)
             with reporting_as("fit to all training data"), limited as ended:
                 report = model.fit(data.select(rows))
-            if fold.score(fold.errors(model, best.source)) < fold.score(best.errors[0]) + LOSS:
+            worse = fold.score(fold.errors(model, best.source)) > fold.score(best.errors[0]) + LOSS
+            if not worse and not self._drifts(model):
                 break
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
         model.linear_inputs = tuple(name for name, moves in linear if moves)
@@ -922,7 +935,7 @@ class _Search:
         seconds = self.folds[0].steps[-1] * data.dt
         findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), seconds=seconds)]
         known = self.source.signature.state_names
-        fading = {name: time for name, time in fading_states(model).items() if name not in known}
+        fading = self._disturbances(model)
         findings += [note("fit.disturbance", state=name, seconds=time) for name, time in fading.items()]
         if hidden := self._hidden_states(model):
             findings.append(note("fit.hidden_states", states=hidden))
@@ -967,6 +980,12 @@ def _warm_started(model: SindyModel) -> SindyModel:
     other = copy.deepcopy(model)
     other.initial, other.initial_delay = model.coefficients.clone(), model.delay
     return other
+
+
+def _reads(model: SindyModel, name: str) -> bool:
+    """Tell whether an equation of a model has a function of a state or an input."""
+    used = (model.coefficients != 0).any(-1).nonzero().flatten().tolist()
+    return any(name in model.library.features[k].variables for k in used)
 
 
 def _is_linear(feature: Feature) -> bool:

@@ -14,6 +14,7 @@ d' = -d / T (Muske and Badgwell 2002).
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
@@ -146,10 +147,11 @@ def with_disturbance(of: SindyModel, signal: str, time: float) -> SindyModel:
 
     Args:
         of: a fitted model.
-        signal: the input.
+        signal: the input, which its equations read.
         time: in which the disturbance fades, at first [s].
     """
-    name = next(n for k in count() if (n := f"{signal}_disturbance" + "_" * k) not in of.signature.state_names)
+    known = {*of.signature.state_names, *of.signature.input_names}
+    name = next(n for k in count() if (n := f"{signal}_disturbance" + "_" * k) not in known)
     signature, features, xi = of.signature.with_state(name, "1", DISTURBANCE), of.library.features, of.coefficients
     rows = [k for k in (xi != 0).any(-1).nonzero().flatten().tolist() if signal in features[k].variables]
     through, own = [features[k].renamed({signal: name}) for k in rows], variable(name)
@@ -169,13 +171,18 @@ def with_disturbance(of: SindyModel, signal: str, time: float) -> SindyModel:
     return found
 
 
-def fading_states(model: SindyModel) -> dict[str, float]:
-    """Return the states that nothing moves but noise, as disturbances, and the time in which each fades [s]."""
-    names, columns, found = model.signature.state_names, model.coefficients.mT, dict[str, float]()
-    for name, column in zip(names, columns, strict=True):
-        own = [name == each for each in model.library.names]
-        if torch.equal(column < 0, torch.tensor(own)) and not bool((column > 0).any()):
-            found[name] = -1 / float(column.sum())
+def disturbance_times(model: SindyModel, seen: Collection[str]) -> dict[str, float]:
+    """Return the states that nothing moves but noise, and the time in which each fades [s], infinite of one that grows.
+
+    Args:
+        model: a fitted model.
+        seen: its states that are measured, or rates, and no disturbances.
+    """
+    found = dict[str, float]()
+    for name, column in zip(model.signature.state_names, model.coefficients.mT, strict=True):
+        terms = [model.library.names[k] for k in column.nonzero().flatten().tolist()]
+        if terms == [name] and name not in seen:
+            found[name] = -1 / rate if (rate := float(column.sum())) < 0 else math.inf
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Annotated, Any, Literal
@@ -59,7 +60,7 @@ TELLING = 4.0
 inertia."""
 OBSERVED = 500
 """Samples in a window through which an observer follows the plant: so many that it matters little where it begins."""
-PUSHED, STILL = (0.03, 0.1, 0.3, 1.0, 3.0), 1e-3
+NOISES, OTHER_NOISE = (0.03, 0.1, 0.3, 1.0, 3.0), 1e-3
 """Changes by chance of disturbances from sample to sample that are tried, and of other states and readings [ranges]."""
 ALPHA = 0.7
 """Part of an error of one step that a filter first takes for the state's (Kalata 1984)."""
@@ -379,29 +380,32 @@ def _first_gain(model: Model, recording: RegressionData) -> tuple[Tensor, Tensor
             mask[i, of], gain[i, of] = True, ALPHA**2 / (2 - ALPHA) / data.dt
     if not bool(pushed.any()):
         return gain, mask
-    guess, begun = recording.guess, int(recording.guess.segment_starts()[-1])  # the last stretch
-    x, u, u_end = guess.x[begun : begun + 1], guess.u[begun:].unsqueeze(0), guess.u_end
-    u_end = None if u_end is None else u_end[begun:].unsqueeze(0)
+    guess, starts = recording.guess, recording.guess.segment_starts()
+    rows = starts == starts.mode().values  # the longest stretch
+    guess, measured = guess.select(rows), data.x_next[rows]
+    u, u_end = guess.inputs_of(torch.arange(len(guess)).unsqueeze(0))
     substeps = substeps_for(relative_step(library, xi, guess.x, guess.u, data.dt))
 
     def _innovations(gain: Tensor) -> float:
-        update = MeasurementUpdate(data.x_next[begun:].unsqueeze(0), gain)
-        ends = simulate(library, xi, x, u, data.dt, substeps, u_end, update)[0]
-        return float((ends - data.x_next[begun:])[:, seen].square().nanmean(0).log().sum().nan_to_num(math.inf))
+        update = MeasurementUpdate(measured.unsqueeze(0), gain)
+        ends = simulate(library, xi, guess.x[:1], u, data.dt, substeps, u_end, update)[0]
+        return float((ends - measured)[:, seen].square().nanmean(0).log().sum().nan_to_num(math.inf))
 
-    gains = (torch.where(mask, _kalman_gain(library, xi, guess, seen, pushed, noise), 0.0) for noise in PUSHED)
-    return min((gain, *gains), key=_innovations), mask
+    gains = [gain]
+    with suppress(ValueError):  # there is none
+        gains += [torch.where(mask, _kalman_gain(library, xi, guess, seen, pushed, noise), 0.0) for noise in NOISES]
+    return min(gains, key=_innovations), mask
 
 
 def _kalman_gain(library: Library, xi: Tensor, data: Transitions, seen: Tensor, pushed: Tensor, noise: float) -> Tensor:
-    """Return the gain of a stationary Kalman filter of a model, linear where the data mostly are, `(n_x, n_x)`."""
+    """Return the gain of a stationary Kalman filter of a model, linearised at the median of data, `(n_x, n_x)`."""
     from scipy.linalg import solve_discrete_are
 
     x, u = (each.median(0, keepdim=True).values for each in (data.x, data.u))
     scale = xi.new_tensor(library.signature.x_scale)
     moves = torch.matrix_exp(data.dt * slopes_by_state(library, xi, x, u)[0])
-    pushes = torch.diag((scale * torch.where(pushed, noise, STILL)).square())
-    reads, error = torch.eye(len(scale), dtype=xi.dtype)[seen], torch.diag((STILL * scale[seen]).square())
+    pushes = torch.diag((scale * torch.where(pushed, noise, OTHER_NOISE)).square())
+    reads, error = torch.eye(len(scale), dtype=xi.dtype)[seen], torch.diag((OTHER_NOISE * scale[seen]).square())
     p = torch.from_numpy(solve_discrete_are(*(each.numpy() for each in (moves.mT, reads.mT, pushes, error))))
     gain = torch.zeros(len(scale), len(scale), dtype=xi.dtype)
     gain[:, seen] = torch.linalg.solve(reads @ p @ reads.mT + error, reads @ p).mT

@@ -9,7 +9,7 @@ from scipy.signal import cont2discrete, dlsim
 from dynasindy.identification.log_fit import SHORTEST
 from dynasindy.identification.state_space import (
     chain_candidates,
-    fading_states,
+    disturbance_times,
     state_space_candidates,
     with_disturbance,
 )
@@ -131,7 +131,7 @@ def test_a_push_that_fades_is_told_by_the_equations_of_what_it_pushes():
     model = with_disturbance(plant, "u", 5.0)
     model.refinement = Refinement("trajectory", error="innovation", rounds=0, select=False, longest_delay=0.0)
     model.fit(data)
-    assert fading_states(model) == pytest.approx({"u_disturbance": 0.5}, rel=0.2)
+    assert disturbance_times(model, ("y", "v")) == pytest.approx({"u_disturbance": 0.5}, rel=0.2)
     acceleration = dict(zip(model.library.names, model.coefficients[:, 1].tolist(), strict=True))
     assert [acceleration[name] for name in ("y", "v", "u")] == pytest.approx([-4.0, -0.4, 3.0], rel=0.1)
 
