@@ -155,12 +155,16 @@ class _Plain(TorchFunctionMode):
             return found, torch.zeros((), dtype=torch.int32)
         if function == torch.Tensor.mT.__get__:  # type: ignore[attr-defined]
             return args[0].transpose(-2, -1)
+        if function is torch.Tensor.repeat_interleave:  # of one sample
+            return args[0].expand(*args[0].shape[:-2], args[1], args[0].shape[-1])
         if function is torch.diag_embed:
             return torch.where(torch.eye(args[0].shape[-1]) > 0, args[0].unsqueeze(-1), 0.0)
         if function is torch.Tensor.diagonal:
             return torch.where(torch.eye(args[0].shape[-1]) > 0, args[0], 0.0).sum(-1)
         if function is torch.equal:  # of a branch that changes nothing where they are
             return False
+        if function is torch.linalg.slogdet:  # of a likelihood, which a controller does not need
+            return torch.linalg.slogdet(torch.eye(1, dtype=args[0].dtype))
         return function(*args, **(kwargs or {}))
 
 
