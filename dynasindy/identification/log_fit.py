@@ -95,10 +95,8 @@ BEHIND_BY = 1.03
 """Factor on the error of the best simple model beyond which a finding says that it predicts better."""
 PRICES, SURE = (1.0, 2.0), 0.1
 """Factors on what a function must be worth; standard error below which it is worth any of them [coefficients]."""
-LOSS = 0.1
-"""Score by which a fit to all data may be worse, by chance, than the one that was judged."""
 HOPELESS = 1.0
-"""Score behind the best one beyond which nothing dearer is tried of a candidate."""
+"""Score behind the best one beyond which nothing dearer is tried of a candidate, and a fit to all data is not taken."""
 FAR_BEHIND = 0.5
 """Score of equations with functions beyond which hidden states are tried before longer simulations."""
 LEADERS = 3
@@ -920,7 +918,7 @@ class _Search:
             limited = self._time_limit(until if settings.method == "trajectory" else math.inf)
             with reporting_as("fit to all training data"), limited as ended:
                 report = model.fit(data.select(rows))
-            worse = fold.score(fold.errors(model, best.source)) > fold.score(best.errors[0]) + LOSS
+            worse = fold.score(fold.errors(model, best.source)) > fold.score(best.errors[0]) + HOPELESS
             if not worse and not self._drifts(model):
                 break
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
