@@ -128,7 +128,8 @@ def plan(
         task = tracking_task(model, task)
     if log is None and model.delay:
         raise ValueError(
-            f"the model's inputs act {model.delay:.3g} s late, which only an observer makes up for; give log="
+            f"the model's inputs act {model.delay:.3g} s late, which only an observer makes up for; give its log, too: "
+            "log= in Python, data=csv data.path=FILE on the command line"
         )
     require_controlled(model, task.output_names)
     if log is not None:
