@@ -122,7 +122,7 @@ RESOLVED = 1.2
 """Times the error of a sensor up to which an error leaves nothing to be found."""
 STIFF = 10 * MOST_STEPS
 """Steps of a simulation between two samples, the most that there are, at which a model is too stiff for them."""
-LARGER = "functions of single states", "signed squares", "cubic functions", "square roots"
+FUNCTION_SETS = "functions of single states", "signed squares", "cubic functions", "square roots"
 """Functions that models are tried with beside those of their libraries, those first that cost little."""
 LINEAR = ", inputs linear between samples"
 """How a model with such inputs is called."""
@@ -430,7 +430,7 @@ class _Search:
         try:
             with _attempt():
                 self._try_all()
-            for each in sorted(self.tried, key=lambda each: round(each.score, 3)):
+            for each in sorted(self.tried, key=lambda each: round(each.score, 3)):  # of two alike, the first
                 with _attempt():
                     return self._final(each)
             return None
@@ -834,7 +834,7 @@ class _Search:
     def _try_larger_libraries(self, candidates: Iterable[Candidate]) -> None:
         """Try more functions, those of the best states first."""
         sets = dict.fromkeys(each.states for each in sorted(candidates, key=lambda each: each.score))
-        for states, what in product(sets, LARGER):
+        for states, what in product(sets, FUNCTION_SETS):
             of = min((each for each in self.tried if each.states == states), key=lambda each: each.score)
             if (of, what) in self.variations:
                 continue

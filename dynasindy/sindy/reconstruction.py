@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 
 BRIEF = 2 * ENOUGH
 """Rows of a recording by which regressions choose functions, delays and numbers inside functions."""
+DIVERGED = 1e6
+"""State that no sensor sees beyond which its simulation has run away [its range]."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +202,9 @@ def simulate_hidden_states(
     for first, last in pairwise([*guess.begins().nonzero().flatten().tolist(), len(guess)]):
         u, u_end = (part[first:last].unsqueeze(0) for part in inputs)
         ends = simulate(led, coefficients, x[first : first + 1], u, guess.dt, substeps, u_end)[0]
-        bounded = (ends.abs() < LOST * guess.x.new_tensor(old.x_scale)).all(0)  # nothing holds a state that runs away
+        bounded = (ends.abs() < DIVERGED * guess.x.new_tensor(old.x_scale)).all(
+            0
+        )  # nothing holds a state that runs away
         x_next[first:last] = torch.where(hidden & bounded, ends, x_next[first:last])
         x[first + 1 : last] = torch.where(hidden, x_next[first : last - 1], x[first + 1 : last])
     return replace(guess, x=x, x_next=x_next)
@@ -217,8 +221,6 @@ def has_gaps(data: Transitions) -> bool:
     return bool(data.x.isnan().any() | data.x_next.isnan().any())
 
 
-LOST = 1e6
-"""State that no sensor sees beyond which its simulation has run away [its range]."""
 ALIKE = 0.01
 """Part of the movement of a state that another one may leave over which is its rate."""
 WINDOW = 10

@@ -319,7 +319,7 @@ def _joins(flow: Flow) -> Tensor:
     return joined
 
 
-def _with_starts(flow: Flow) -> Flow:
+def _with_fitted_starts(flow: Flow) -> Flow:
     """Return trajectories that begin where each window tells it best, where a state is seen by no sensor."""
     estimate, windows = flow.estimate, flow.windows
     if bool(windows.mask.flatten(0, 1).any(0).all()) or windows.descent.floor is not None or bool(flow.lost().any()):
@@ -338,7 +338,7 @@ def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Desc
 
     def _cut(found: Estimate, length: int) -> tuple[Flow, bool]:
         windows = Windows.of(data, replace(descent, window=length), substeps)
-        trial = _with_starts(Flow.of(replace(found, nodes=guess[windows.rows]), parameters, windows))
+        trial = _with_fitted_starts(Flow.of(replace(found, nodes=guess[windows.rows]), parameters, windows))
         return trial, bool(trial.lost().any())
 
     flow, lost = _cut(estimate, length)
