@@ -115,16 +115,19 @@ def test_a_place_behind_a_late_sensor_gets_hidden_states_beside_a_motor_with_fri
     assert min(distance(np.linalg.eigvals(chain.T.numpy()), np.linalg.eigvals(behind)) for chain in chains) < 0.1
 
 
-def test_a_push_that_fades_is_told_by_the_equations_of_what_it_pushes():
+def pushed_oscillator():
+    """Return places of an oscillator and held inputs; it is pushed by what fades within half a second."""
     a, b = np.array([[0.0, 1.0, 0.0], [-4.0, -0.4, 1.0], [0.0, 0.0, -2.0]]), np.array([[0.0], [3.0], [0.0]])
     a, b, *_ = cont2discrete((a, b, np.eye(3), np.zeros((3, 1))), 0.05)
     random, u, x = np.random.default_rng(1), steps(0, 100, 20), [np.zeros(3)]
     for held in u:
         x.append(a @ x[-1] + b[:, 0] * held + [0, 0, 0.45 * random.standard_normal()])
-    unseen = np.full((len(x), 2), np.nan)
-    seen = torch.from_numpy(
-        np.concatenate([np.array(x)[:, :1] + 1e-3 * random.standard_normal((len(x), 1)), unseen], 1)
-    )
+    return np.array(x)[:, :1] + 1e-3 * random.standard_normal((len(x), 1)), u
+
+
+def test_a_push_that_fades_is_told_by_the_equations_of_what_it_pushes():
+    y, u = pushed_oscillator()
+    seen = torch.from_numpy(np.concatenate([y, np.full((len(y), 2), np.nan)], 1))
     data = Transitions.from_trajectory(seen, torch.from_numpy(u[:, None]), 0.05)
     plant = SindyModel(Signature(("y", "v"), ("m", "m/s"), ("u",), (2.0, 4.0)), ["y", "v", "u"], known={"y": "v"})
     plant.set_coefficients(torch.tensor([[0.0, -3.0], [1.0, -0.8], [0.0, 2.0]], dtype=torch.float64))
@@ -134,6 +137,14 @@ def test_a_push_that_fades_is_told_by_the_equations_of_what_it_pushes():
     assert disturbance_times(model, ("y", "v")) == pytest.approx({"u_disturbance": 0.5}, rel=0.2)
     acceleration = dict(zip(model.library.names, model.coefficients[:, 1].tolist(), strict=True))
     assert [acceleration[name] for name in ("y", "v", "u")] == pytest.approx([-4.0, -0.4, 3.0], rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_push_that_fades_is_found_by_default(one_fold):  # noqa: F811
+    y, u = pushed_oscillator()
+    found = fitted(source_of(y, u, 0.05, units=("m",)), seconds=60.0)
+    (push,) = [each.values for each in found.report.findings if each.code == "fit.disturbance"]
+    assert push["seconds"] == pytest.approx(0.5, rel=0.2)
 
 
 @pytest.mark.slow
