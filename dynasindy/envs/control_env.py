@@ -17,7 +17,7 @@ from torchrl.envs.utils import _make_compatible_policy
 
 from dynasindy.envs import Task, Tracking
 from dynasindy.envs.task import TrackingMachine
-from dynasindy.limits import Positive
+from dynasindy.limits import Positive, check_memory
 from dynasindy.safe_io import checked
 from dynasindy.systems import System, integrate
 from dynasindy.systems.checks import rates_at_start, require_plant
@@ -51,7 +51,7 @@ class ControlEnv(EnvBase):
             are zero. In a sample within which the input changes, its mean acts, as a model with a delay is fitted.
 
     Raises:
-        ValueError: The system does not give one rate of change per state.
+        ValueError: An episode does not fit into memory, or the system does not give one rate of change per state.
     """
 
     batch_locked = False
@@ -75,6 +75,10 @@ class ControlEnv(EnvBase):
         delay: Annotated[float, Field(ge=0)] = 0.0,
     ) -> None:
         dtype = getattr(torch, dtype) if isinstance(dtype, str) else dtype
+        check_memory(
+            2.0 * dtype.itemsize * task.max_steps * substeps * system.signature.n_x,
+            f"an episode of {task.max_steps:.4g} periods (task.max_steps) with {substeps} samples each (env.substeps)",
+        )
         super().__init__(batch_size=torch.Size(batch_size))
         self.system, self.task = system, task
         self._compiled_task: tuple[Task, torch.dtype, TrackingMachine | None] | None = None

@@ -29,7 +29,7 @@ from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, Summary, steady_seconds, tracking_metrics
 from dynasindy.findings import Finding, note, weak
-from dynasindy.limits import Positive
+from dynasindy.limits import Positive, check_memory
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import checked_class, file_name, write_csv, write_json
 from dynasindy.systems import Signature, System
@@ -410,6 +410,10 @@ def evaluate(
             )
         task = task.with_reference(scenario.reference)
     task.max_steps = round(scenario.length(env) / env.dt)
+    check_memory(
+        4.0 * scenario.episodes * task.max_steps * (2 * task.n_o + (2 + env.substeps) * env.system.signature.n_x),
+        f"scenario.episodes={scenario.episodes} of {task.max_steps * env.dt:g} s (scenario.seconds)",
+    )
     calm = env.with_task(task, seed=scenario.seed)
     calm.left_beyond = FARTHEST
     wrapped = policy if observer is None else acting(policy, calm, bool(observer.pushed))
