@@ -13,7 +13,6 @@ import timeit
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jinja2
@@ -59,24 +58,24 @@ def _block(lines: Iterable[str]) -> str:
     return "\n".join(f" * {part}".rstrip() for line in lines for part in wrap(comment(line)) or [""])
 
 
-_TEMPLATES = jinja2.Environment(
-    loader=jinja2.FileSystemLoader([Path(__file__).parents[1] / room / "c" for room in ("control", "export")]),
+TEMPLATES = jinja2.Environment(
+    loader=jinja2.PackageLoader("dynasindy.control", "c"),
     undefined=jinja2.StrictUndefined,
     line_statement_prefix="@",
     keep_trailing_newline=True,
 )
-_TEMPLATES.filters |= {"number": number, "comment": comment, "block": _block, "floats": _floats}
+TEMPLATES.filters |= {"number": number, "comment": comment, "block": _block, "floats": _floats}
 # An end that is not there is the largest number.
-_TEMPLATES.filters["bound"] = lambda value: number(np.nan_to_num(value))
-_TEMPLATES.filters["numbers"] = lambda values: ", ".join(map(number, values))
+TEMPLATES.filters["bound"] = lambda value: number(np.nan_to_num(value))
+TEMPLATES.filters["numbers"] = lambda values: ", ".join(map(number, values))
 
 
-def fill(template: str, /, **words: object) -> str:
+def fill(template: str, templates: jinja2.Environment = TEMPLATES, /, **words: object) -> str:
     """Return the text of a template of Jinja, whose statements are lines that begin with `@`.
 
     What is filled in is not looked at again, so that words of a file cannot open gaps of their own.
     """
-    return _TEMPLATES.get_template(template).render(words)
+    return templates.get_template(template).render(words)
 
 
 @dataclass(frozen=True)

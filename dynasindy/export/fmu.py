@@ -14,15 +14,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jinja2
+
 from dynasindy import __version__
 from dynasindy.control import Controller
-from dynasindy.control.c_code import controller_sources, fill
+from dynasindy.control.c_code import TEMPLATES, controller_sources, fill
 from dynasindy.safe_io import replace_file
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.codegen import formulas, number
 from dynasindy.systems import Stops
 from dynasindy.systems.compiler import SUFFIX, compile_library, compiler
 
+_TEMPLATES = TEMPLATES.overlay(
+    loader=jinja2.ChoiceLoader([jinja2.PackageLoader(f"dynasindy.{room}", "c") for room in ("export", "control")])
+)
 PAST = 1024
 """Largest number of inputs that are on their way to a plant with a delay."""
 FINE = {
@@ -84,6 +89,7 @@ def controller_fmu(controller: Controller, path: Path, version: int = 3) -> bool
     )
     text = fill(
         "fmu_controller.c",
+        _TEMPLATES,
         name=name,
         dt=number(controller.dt),
         measured=[signature.state_index(state) for state in seen],
@@ -116,7 +122,7 @@ def plant_fmu(model: SindyModel, path: Path, step: float, stops: Stops | None = 
         raise ValueError("an FMU of a plant has inputs, and this model has none; export it as C instead")
     step, ends = model.step or step, stops.rows(signature.n_x) if stops else []
     words = {"model": model, "found": formulas(model), "stops": ends, "past": PAST}
-    text = fill("fmu_plant.c", **words, step=number(step), delay=number(model.delay))
+    text = fill("fmu_plant.c", _TEMPLATES, **words, step=number(step), delay=number(model.delay))
     units = zip(signature.state_names, signature.state_units, strict=True)
     variables = (
         *((f"u_{word}", "1", False) for word in signature.input_names),
@@ -132,16 +138,16 @@ def _write(
         raise ValueError(f"FMI {version} is not written; allowed are 2 and 3")
     token = f"{{{uuid.uuid5(uuid.NAMESPACE_OID, ''.join(texts.values()))}}}"
     *_, last = texts
-    interface = fill("fmi.c", version=version, token=token, fine=FINE[version], absent=ABSENT[version])
+    interface = fill("fmi.c", _TEMPLATES, version=version, token=token, fine=FINE[version], absent=ABSENT[version])
     sources = {**texts, last: texts[last] + interface}
     words: dict[str, Any] = {"name": name, "files": [file for file in sources if file.endswith(".c")]}
     about = {"step": repr(step), "variables": variables, "units": sorted({unit for _, unit, _ in variables})}
     more = {"version": version, "release": __version__, "token": token}
-    described = fill("modelDescription.xml", **words, **about, **more)
+    described = fill("modelDescription.xml", _TEMPLATES, **words, **about, **more)
     files = {"modelDescription.xml": described.encode()}
     files |= {f"sources/{file}": text.encode() for file, text in sources.items()}
     if version == 3:
-        files["sources/buildDescription.xml"] = fill("buildDescription.xml", **words).encode()
+        files["sources/buildDescription.xml"] = fill("buildDescription.xml", _TEMPLATES, **words).encode()
     built = compiler() is not None
     if built:
         system = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
