@@ -164,10 +164,8 @@ class LogReader:
         """
         tables, left_out = [Table.read(Path(path)) for path in self.paths], list[Finding]()
         time, states, inputs = self._columns(tables, plant, left_out)
-        given_units, columns = (
-            {name: column.unit for name, column in states.items()},
-            [*states.items(), *inputs.items()],
-        )
+        given_units = {name: column.unit for name, column in states.items()}
+        columns = [*states.items(), *inputs.items()]
         names, headings = [name for name, _ in columns], [column.name for _, column in columns if column.name]
         for name, column in columns:  # a function or number in an equation, or twice
             if not NAME.fullmatch(name) or names.count(name) > 1 or headings.count(column.name) > 1:
@@ -493,12 +491,15 @@ def _between_jumps(t: Array, column: Array, jumps: NDArray[np.bool_], grid: Arra
 
 def _one_period(parts: Sequence[_Part], dt: float | None) -> float:
     periods = [_period_of_samples(part) if dt is None else dt for part in parts]
-    units = [{name: column.unit for name, column in {**part.states, **part.inputs}.items()} for part in parts]
+    units = [
+        ", ".join(f"{name} [{column.unit}]" for name, column in {**part.states, **part.inputs}.items())
+        for part in parts
+    ]
     for part, period, own in zip(parts, periods, units, strict=True):
         if abs(period - periods[0]) > EVEN * periods[0] or own != units[0]:
             raise ValueError(
-                f"{parts[0].path} has a row every {periods[0]:g} s in units {units[0]}, {part.path} every {period:g} s "
-                f"in units {own}; allowed are the same: fit them one by one, or write them alike"
+                f"{parts[0].path} has a row every {periods[0]:g} s in {units[0]}, {part.path} every {period:g} s in "
+                f"{own}; allowed are the same: fit them one by one, or write them alike"
             )
     return periods[0]
 

@@ -223,16 +223,16 @@ class Session:
         mine, theirs = self.wiring.signature, controller.signature
         units, seen = dict(zip(mine.state_names, mine.state_units, strict=True)), self.wiring.measured
         read = [(n, u) for n, u in zip(theirs.state_names, theirs.state_units, strict=True) if n in controller.measured]
-        agreed = [
+        comparisons = [
             ("the inputs", ", ".join(mine.input_names), ", ".join(theirs.input_names)),
             ("the control period in s", f"{self.wiring.dt:.9g}", f"{controller.dt:.9g}"),
             *((f"the unit of {name}", units[name] if name in seen else "not measured", unit) for name, unit in read),
         ]
         if mine.input_ends and not mine.same_input_ranges(theirs):
-            agreed.append(
+            comparisons.append(
                 ("the range of the inputs", str(mine.input_ranges.tolist()), str(theirs.input_ranges.tolist()))
             )
-        for what, own, planned in agreed:
+        for what, own, planned in comparisons:
             if own != planned:
                 raise ValueError(f"{what}: {own} on the rig, {planned} for the controller; give one that is alike")
         self._tell_inputs(theirs)

@@ -139,7 +139,7 @@ def build(results: Path, folder: Path) -> list[Path]:
     page = folder / "report.md"
     with reading(results):
         sections = {name: build_section(results, name) for name in SECTIONS}
-        origins = {file.parent.name: read_json(file) for file in sorted(results.glob("runs/*/origin.json"))}
+        origins = {run.name: read_json(run / "origin.json") for run in sorted(results.glob("runs/*/"))}
         made = [f"`{name}`, made by `{of['command']}` at commit {of['commit']}" for name, of in origins.items()]
         write_text(page, _markdown(sections, made))
     pictures = [part for section in sections.values() for _, part in section if isinstance(part, _Picture)]
