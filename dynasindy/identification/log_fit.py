@@ -34,7 +34,6 @@ from dynasindy.identification.recording_diagnostics import sensor_errors
 from dynasindy.identification.source import Source, rate_name, rates_of
 from dynasindy.identification.state_space import (
     chain_candidates,
-    disturbance_times,
     state_space_candidates,
     with_disturbance,
 )
@@ -55,7 +54,7 @@ from dynasindy.sindy.library import Constraints, Factor, Feature, Library, varia
 from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.named_libraries import PLACE, LibraryBuilder, auto, auto_rig, is_speed, polynomial
-from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
+from dynasindy.sindy.reconstruction import RegressionData, disturbance_states, find_rates, rate_states, reconstruct
 from dynasindy.sindy.refinement import FARTHER, TELLING, Refinement
 from dynasindy.sindy.regression import SAMPLES_EACH, Rows, fit_supported
 from dynasindy.sindy.shooting import CHOSEN_STRETCHES, MOST_STEPS, choose_stretches
@@ -494,8 +493,7 @@ class _Search:
             if self.best is not before:
                 self._windows(self.best)
         every = self._try_disturbances, self._try_chains, self._try_state_space
-        late = [self._try_chains] if early else every
-        self._try_hidden_states(*late, until=self.until)
+        self._try_hidden_states(*([self._try_chains] if early else every), until=self.until)
         found = list[Candidate]()
         while self.tried and self.best not in found:  # until nothing gets better
             found.append(self.best)
@@ -687,18 +685,23 @@ class _Search:
         return [n for n in model.signature.state_names if n not in (*known, *self._disturbances(model))]
 
     def _disturbances(self, model: SindyModel) -> dict[str, float]:
-        """Return the hidden states of a model that nothing moves but noise, and the time in which each fades [s]."""
-        return disturbance_times(model, {*self.source.signature.state_names, *rates_of(model).values()})
+        """Return the hidden states that nothing moves but noise, and the time in which each fades [s]."""
+        names, seen = model.signature.state_names, {*self.source.signature.state_names, *rates_of(model).values()}
+        alone = {
+            names[i]: float(model.coefficients[:, i].sum())
+            for i in disturbance_states(model.library, model.coefficients)
+        }
+        return {n: -1 / rate if rate < 0 else math.inf for n, rate in alone.items() if n not in seen}
 
     def _drifts(self, model: SindyModel) -> bool:
         """Tell whether a disturbance hardly fades, as an offset, which equations hold and a plan cannot foresee."""
-        return any(time > self.slow for time in self._disturbances(model).values())
+        return any(seconds > self.slow for seconds in self._disturbances(model).values())
 
     def _try_disturbances(self, until: float) -> None:
         """Try hidden states that add to inputs, one after the other."""
         for signal in self.source.signature.input_names:
             of = self.best
-            if time.process_time() > until or not all(_reads(model, signal) for model in of.models):
+            if time.process_time() > until or not all(signal in _variables_read(model) for model in of.models):
                 continue
             models = [with_disturbance(model, signal, self.slow / 2) for model in of.models]
             wide = of.source.with_unmeasured(models[0].signature)
@@ -856,11 +859,8 @@ class _Search:
 
         Roots are those of what is never negative; functions of a plant's library are new to models with hidden states.
         """
-        signature, features = model.signature, model.library.features
-        used = {n for k in (model.coefficients != 0).any(-1).nonzero().flatten() for n in features[int(k)].variables}
-        names = [
-            n for n in (*signature.state_names, *signature.input_names) if n in used - {*self._disturbances(model)}
-        ]
+        signature, read = model.signature, _variables_read(model) - {*self._disturbances(model)}
+        names = [name for name in (*signature.state_names, *signature.input_names) if name in read]
         units = dict(zip(signature.state_names, signature.state_units, strict=True))
         if what == "functions of single states":
             own = self.builder(signature).features if self.builder is not None and self._hidden_states(model) else ()
@@ -934,7 +934,7 @@ class _Search:
         findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), seconds=seconds)]
         known = self.source.signature.state_names
         fading = self._disturbances(model)
-        findings += [note("fit.disturbance", state=name, seconds=time) for name, time in fading.items()]
+        findings += [note("fit.disturbance", state=name, seconds=after) for name, after in fading.items()]
         if hidden := self._hidden_states(model):
             findings.append(note("fit.hidden_states", states=hidden))
         if rates := [name for name in best.states if name not in (*known, *hidden, *fading)]:
@@ -980,10 +980,10 @@ def _warm_started(model: SindyModel) -> SindyModel:
     return other
 
 
-def _reads(model: SindyModel, name: str) -> bool:
-    """Tell whether an equation of a model has a function of a state or an input."""
+def _variables_read(model: SindyModel) -> set[str]:
+    """Return the states and inputs of which equations of a model have functions."""
     used = (model.coefficients != 0).any(-1).nonzero().flatten().tolist()
-    return any(name in model.library.features[k].variables for k in used)
+    return {name for k in used for name in model.library.features[k].variables}
 
 
 def _is_linear(feature: Feature) -> bool:

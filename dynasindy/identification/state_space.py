@@ -14,7 +14,6 @@ d' = -d / T (Muske and Badgwell 2002).
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
@@ -168,21 +167,6 @@ def with_disturbance(of: SindyModel, signal: str, time: float) -> SindyModel:
         free[len(features) + k, i], offset[len(features) + k, i] = False, initial[len(features) + k, i]
     free[place, -1], initial[place, -1] = True, -1 / time
     found.constraints, found.initial, found.initial_delay = Constraints(free, offset), initial, of.delay
-    return found
-
-
-def disturbance_times(model: SindyModel, seen: Collection[str]) -> dict[str, float]:
-    """Return the states that nothing moves but noise, and the time in which each fades [s], infinite of one that grows.
-
-    Args:
-        model: a fitted model.
-        seen: its states that are measured, or rates, and no disturbances.
-    """
-    found = dict[str, float]()
-    for name, column in zip(model.signature.state_names, model.coefficients.mT, strict=True):
-        terms = [model.library.names[k] for k in column.nonzero().flatten().tolist()]
-        if terms == [name] and name not in seen:
-            found[name] = -1 / rate if (rate := float(column.sum())) < 0 else math.inf
     return found
 
 

@@ -138,6 +138,13 @@ def rate_states(library: Library, constraints: Constraints) -> dict[int, int]:
     return found
 
 
+def disturbance_states(library: Library, coefficients: Tensor) -> list[int]:
+    """Return the states that nothing moves but noise, by their positions: their equations read them alone."""
+    columns = zip(library.signature.state_names, coefficients.mT, strict=True)
+    terms = [(name, [library.names[k] for k in column.nonzero().flatten().tolist()]) for name, column in columns]
+    return [i for i, (name, own) in enumerate(terms) if own == [name]]
+
+
 def settle_lag_states(data: Transitions, followers: Mapping[int, int]) -> Transitions:
     """Return a recording in which states that follow another one are equal to it, as they are at rest."""
     if not followers:
@@ -202,9 +209,8 @@ def simulate_hidden_states(
     for first, last in pairwise([*guess.begins().nonzero().flatten().tolist(), len(guess)]):
         u, u_end = (part[first:last].unsqueeze(0) for part in inputs)
         ends = simulate(led, coefficients, x[first : first + 1], u, guess.dt, substeps, u_end)[0]
-        bounded = (ends.abs() < DIVERGED * guess.x.new_tensor(old.x_scale)).all(
-            0
-        )  # nothing holds a state that runs away
+        # Nothing holds a state that runs away.
+        bounded = (ends.abs() < DIVERGED * guess.x.new_tensor(old.x_scale)).all(0)
         x_next[first:last] = torch.where(hidden & bounded, ends, x_next[first:last])
         x[first + 1 : last] = torch.where(hidden, x_next[first : last - 1], x[first + 1 : last])
     return replace(guess, x=x, x_next=x_next)

@@ -22,7 +22,7 @@ from dynasindy.sindy.covariance import of_rates
 from dynasindy.sindy.delay import unexplained
 from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.library import Constraints, Library
-from dynasindy.sindy.reconstruction import RegressionData, has_gaps
+from dynasindy.sindy.reconstruction import RegressionData, disturbance_states, has_gaps
 from dynasindy.sindy.regression import Regression, Rows, TriangularFactor, fit_supported, needed_at_edge
 from dynasindy.sindy.sensitivity import slopes_by_state
 from dynasindy.sindy.shape_parameters import fit_shapes
@@ -369,13 +369,12 @@ def _first_gain(model: Model, recording: RegressionData) -> tuple[Tensor, Tensor
     Where there are disturbances, which nothing moves but noise, it is that of a stationary Kalman filter.
     """
     (library, xi), data, rates = model, recording.measured, recording.rates
-    seen, names = ~data.x_next.isnan().all(0), library.signature.state_names
+    seen, alone = ~data.x_next.isnan().all(0), disturbance_states(library, xi)
     mask, gain, pushed = torch.diag(seen), torch.diag(ALPHA * seen.double()), torch.zeros_like(seen)
     for i in (~seen).nonzero().flatten().tolist():
         of = rates.get(i)
         if of is None or not bool(seen[of]):
-            mask[i] = seen
-            pushed[i] = [library.names[k] for k in xi[:, i].nonzero().flatten().tolist()] == [names[i]]
+            mask[i], pushed[i] = seen, i in alone
         else:
             mask[i, of], gain[i, of] = True, ALPHA**2 / (2 - ALPHA) / data.dt
     if not bool(pushed.any()):
