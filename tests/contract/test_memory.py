@@ -30,6 +30,8 @@ resource.setrlimit(resource.RLIMIT_AS, (size + {more}, size + {more}))
             "replay.capacity",
         ),  # beside torch there is no room
         (700_000_000, ("replay.capacity=900000000",), "replay.capacity"),
+        (2_000_000_000, ("task.max_steps=900000000",), "task.max_steps"),
+        (2_000_000_000, ("scenario.seconds=1e8",), "scenario.seconds"),
     ],
 )
 def test_a_command_that_wants_more_than_it_may_have_ends_in_one_line(tmp_path, more, words, key):
