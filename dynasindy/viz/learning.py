@@ -108,10 +108,10 @@ def _draw_bands(axis: Axes, curves: Curves) -> None:
     for (name, values), line in zip(curves.items(), style.line_styles(curves).values(), strict=True):
         x, rows = style.array(values.columns), values.to_numpy(copy=True)
         words = name.replace("$", r"\$")  # names of settings are no mathematics
-        label = f"{words} ({len(rows)} seed{'s' * (len(rows) > 1)})"
+        label = f"{words} ({len(rows)} seed{'s' * (len(rows) > 1)}{', no common episode' * (not len(x))})"
         # A line through a single episode would not be seen.
         look: dict[str, Any] = {**line, "marker": "o" if len(x) == 1 else None, "clip_on": len(x) > 1}
-        if len(rows) < ablation.FEWEST:
+        if len(rows) < ablation.FEWEST or not len(x):
             for number, row in enumerate(rows):
                 axis.plot(x, row, label="_" * (number > 0) + label, **look)
             continue
@@ -126,7 +126,7 @@ def _draw_bands(axis: Axes, curves: Curves) -> None:
         words = f"; each seed where there are fewer than {ablation.FEWEST}" if min(counts) < ablation.FEWEST else ""
         axis.plot([], [], color=style.GREY, label=f"line: interquartile mean over seeds{words}")
         axis.plot([], [], color=style.GREY, alpha=0.3, linewidth=7, label="band: its 95 % bootstrap interval")
-    episodes = [*itertools.chain(*curves.values())]
+    episodes = [*itertools.chain(*curves.values())] or [0]
     room = 0.02 * (max(episodes) - min(episodes)) + 1e-3
     axis.set_xlim(min(episodes) - room, max(episodes) + room)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))

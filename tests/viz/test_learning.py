@@ -87,6 +87,14 @@ def test_the_error_of_the_worse_axis_stands_at_its_evaluations_beside_the_level(
     assert curves["required: at most 0.05 rad"][0][1] == 0.05
 
 
+def test_seeds_that_share_no_episode_have_no_curve_and_spoil_none(drawn):
+    apart = [row for seed in range(3) for row in rows({"a": 0.1}, (seed,), (seed,))]
+    for others, curves in (([], 0), (rows({"b": 0.2}, (4, 6)), 2)):
+        (axis,) = drawn(apart + others)["average_rewards_xi_dyna"].axes
+        assert sum(len(line.get_xdata()) > 0 for line in axis.lines) == curves
+        assert "a (3 seeds, no common episode)" in [line.get_label() for line in axis.lines]
+
+
 def test_of_many_settings_those_of_the_paper_are_drawn(drawn):
     names = ("direct", "oracle", "sb3_sac", "sb3_sac_5", "rollouts_0", "rollouts_800")
     some = drawn(rows(dict.fromkeys(names, 0.1), seeds=(0,)))["steady_state_error_xi_dyna"].axes[0]
