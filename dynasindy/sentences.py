@@ -502,6 +502,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.name": "a state or input is called {name!r}; allowed are names that begin with a letter, hold no signs of "
     "arithmetic and differ, each of a column of its own: name it in <data.states> or <data.inputs>, as "
     "{{angle: HEADING}}",
+    "log.time_named": "the column {column} is the time and can be neither a state nor an input: leave it out of "
+    "<data.states> and <data.inputs>, or say by <data.time> which other column is the time",
     "log.time_order": "line {line}, column {column}: {after:.12g} s follows {before:.12g} s; allowed is increasing "
     "time: sort the rows or split the recordings, or give <data.dt> if the clock is coarser than the rows",
     "log.time_unit": "the time column {column!r} is in {unit!r}; allowed units are {units:list}, or none for s",

@@ -145,7 +145,7 @@ class Table:
             dt: Sampling time that was given [s].
 
         Raises:
-            ValueError: a column is missing or stands there twice, or one has no number.
+            ValueError: a column is missing or stands there twice, one has no number, or the time is named once more.
         """
         whole, time = self, names[0]
         blank = time in whole.headings and whole.kinds[time] == "empty"
@@ -156,6 +156,8 @@ class Table:
             others = whole.frame.drop(columns=time, errors="ignore")
             whole = whole.edit(pd.concat([rows, others], axis=1), {}, note("log.no_time"))
         places = [_find(self.path, name, whole.headings) for name in names]
+        if places[0] in places[1:]:
+            raise LogError("log.time_named", file=str(self.path), column=whole.headings[places[0]])
         frame = whole.frame.iloc[:, places]
         first, *others = frame
         if dates := [heading for heading in others if heading in whole.dated]:

@@ -113,6 +113,18 @@ def test_with_a_sampling_time_a_counter_is_the_time_and_nothing_more_is_asked_fo
     assert found.findings[0] == note("log.row_counter", column="row", dt=0.02)
 
 
+@pytest.mark.parametrize("clock", ["t", "Time [s]", "2024"])
+def test_the_time_is_no_state_and_no_input(tmp_path, clock):
+    heading = "time" if clock == "2024" else clock
+    dates = [f"2024-05-31 12:{k:02}:00" if clock == "2024" else 0.1 * k for k in range(80)]
+    path = rows_of_a_swing(
+        tmp_path / "a.csv", f"{heading},angle,u", lambda k: (dates[k], math.sin(k), k // 4 % 2 + k % 3)
+    )
+    for roles in ({"states": {"clock": heading, "angle": "angle"}}, {"inputs": {"clock": heading, "u": "u"}}):
+        told = refused(lambda roles=roles: LoggedData(path, **roles).recording(None))
+        assert (told.code, told.values["column"]) == ("log.time_named", heading)
+
+
 def test_nothing_is_guessed_of_a_log_in_which_one_thing_moves(tmp_path):
     path = rows_of_a_swing(tmp_path / "a.csv", "time,angle", lambda k: (0.1 * k, math.sin(k)))
     finding = refused(lambda: LoggedData(path).recording(None))
