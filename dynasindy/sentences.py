@@ -653,7 +653,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "forecast.longer_plan": "a longer plan, or a smaller range of targets, may hold it",
     "forecast.short_log": "half of what the plan does not see of the log has {samples} samples, fewer than the "
     "{functions} functions of the equations, which tells nothing: log longer, or choose a smaller library",
-    "forecast.beyond_log": "the targets of {state} go from {low:.3g} to {high:.3g}{unit:unit}, the log from "
+    "forecast.beyond_log": "the targets of {state} go from {low:g} to {high:g}{unit:unit}, the log from "
     "{least:.3g} to {most:.3g}: what the equations say so far beyond is a guess, so log it there, or give targets "
     "nearer to the log",
     "forecast.beyond_inputs": "flights take {input} from {low:.2g} to {high:.2g}, the log tells of {least:.2g} to "

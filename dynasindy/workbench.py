@@ -43,7 +43,7 @@ from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.metrics import to_text
 from dynasindy.evaluation.scenarios import Policy, Scenario, step_references
 from dynasindy.evaluation.tracking_criteria import WITHIN
-from dynasindy.findings import Finding, wrong
+from dynasindy.findings import Finding, FindingError, wrong
 from dynasindy.identification.forecast_errors import forecast_errors, predict_from
 from dynasindy.identification.recording_diagnostics import (
     low_signal_states,
@@ -121,7 +121,8 @@ def plan(
 
     Raises:
         ValueError: The task or the log does not fit the model, an output depends on no input, or an observer has no log
-            to learn from, which a model whose inputs act late needs.
+            to learn from, which a model whose inputs act late needs; or no policy has a finite imagined return for
+            targets far beyond the log.
         Diverged: The model explodes, or no policy has a finite imagined return.
     """
     if not isinstance(task, Tracking):
@@ -144,7 +145,12 @@ def plan(
     env = ControlEnv(model, task, setup.dt, setup.substeps, seed=seed)
     others = [] if log is None else _refits(model, log.training, HALVES, "the log")
     actor = Actor(task.n_o, model.signature.n_u, seed=seed)
-    GradientPlanning(env, actor, others=others, seed=seed, **settings).plan()
+    try:
+        GradientPlanning(env, actor, others=others, seed=seed, **settings).plan()
+    except Diverged as error:
+        for far in targets_far_off(model, task, log):  # where the equations may well explode
+            raise FindingError(far.code, **far.values) from error
+        raise
     return Controller(actor.deployed, setup, observer)
 
 
@@ -159,6 +165,20 @@ def refit_shortage(model: SindyModel, log: Source | None) -> Finding | None:
         return None
     samples, functions = len(log.validation) // HALVES, int((model.coefficients != 0).any(-1).sum())
     return wrong("forecast.short_log", samples=samples, functions=functions) if samples < functions else None
+
+
+def targets_far_off(model: SindyModel, task: Tracking, log: Source | None) -> list[Finding]:
+    """Return which targets lie so far beyond a log that the equations are a guess there.
+
+    Args:
+        model: The equations.
+        task: The task; one without a range of targets names none.
+        log: The log of the model; nothing is far from none.
+    """
+    if log is None or task.ends is None:
+        return []
+    targets = dict(zip(task.output_names, zip(*task.ends, strict=True), strict=True))
+    return targets_beyond_log(model, log.training.x, targets)
 
 
 def _refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> list[SindyModel]:
@@ -241,9 +261,7 @@ def forecast(
     doubts += [short] if (short := refit_shortage(model, log)) else []
     if found.evaluation is not None:
         doubts += inputs_beyond_log(model, log.training.u, found.evaluation.inputs.flatten(0, -2))
-    if setup.task.ends is not None:
-        targets = dict(zip(controller.outputs, zip(*setup.task.ends, strict=True), strict=True))
-        doubts += targets_beyond_log(model, log.training.x, targets)
+    doubts += targets_far_off(model, setup.task, log)
     return replace(found, doubts=tuple(doubts), no_equilibrium=never)
 
 

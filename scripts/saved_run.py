@@ -43,7 +43,7 @@ from dynasindy.progress import say
 from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
 from dynasindy.sentences import command_word, lines
 from dynasindy.sindy import Oracle, SindyModel
-from dynasindy.workbench import damped, forecast, log_report, plan, refit_shortage
+from dynasindy.workbench import damped, forecast, log_report, plan, refit_shortage, targets_far_off
 
 
 def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
@@ -211,7 +211,7 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
         dt, why = suited_period(model, task, source)
     elif source is not None and dt != cfg.env.dt:
         why = note("control.sampled", seconds=dt, wanted=cfg.env.dt, step=source.training.dt)
-    say(*lines(filter(None, [why, refit_shortage(model, source)])))
+    say(*lines(filter(None, [why, refit_shortage(model, source), *targets_far_off(model, task, source)])))
     OmegaConf.update(cfg, "env.dt", dt)
     write_text(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
     try:

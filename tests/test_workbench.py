@@ -106,6 +106,15 @@ def brief(samples, kept=0.25):
     return Source.of(Recording(record_plant(Pendulum(), u, 0.02), Pendulum().signature), kept)
 
 
+def test_where_equations_explode_at_targets_far_beyond_the_log_these_are_told(exact):
+    wild = dynasindy.identify(exact, [*WORDS, "theta^3"], {"theta": "Omega"}, "one_step")
+    wild.coefficients[wild.library.names.index("theta^3"), 1] = 5000.0
+    with pytest.raises(FindingError) as error:
+        dynasindy.plan(wild, {"theta": (-1000, 1000)}, exact, **SHORT)
+    told = error.value.finding
+    assert (told.code, told.values["high"]) == ("forecast.beyond_log", 1000) and told.values["most"] < 4
+
+
 @pytest.fixture(scope="module")
 def late(exact):
     """Return a model, identified without noise, whose inputs act two control periods late."""
