@@ -33,7 +33,7 @@ from dynasindy.limits import Positive, check_memory
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import checked_class, file_name, write_csv, write_json
 from dynasindy.systems import Signature, System
-from dynasindy.systems.base import turn_of
+from dynasindy.systems.base import WHOLE, turn_of
 from dynasindy.text import format_duration
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
@@ -42,9 +42,9 @@ PolicyWrapper = Callable[[Policy, ControlEnv], Policy]
 Window = tuple[float, float]
 INSIDE = 0.75
 """Part of the ends of a state that bounds are proposed at, where an environment ends runs beyond them."""
-RESTLESS = 0.02
-"""Mean change of an input from one control period to the next, in the steady state, beyond which it is told [its range
-from -1 to 1 counts as 2]."""
+RESTLESS = 0.01
+"""Mean change of an input from one control period to the next, in the steady state, beyond which it is told [ranges of
+the input]."""
 ROUNDING = 1e-4
 """What a reference may lie beyond its ends by, as float32 rounds it [ranges of the targets]."""
 SINGLE = 1e-6
@@ -268,11 +268,13 @@ class Evaluation:
         """Which inputs go on moving while all targets rest: a plant is held, and a valve wears out."""
         if not bool(self.resting.all()):
             return []
+        names, limits = self.signature.input_names, self.signature.input_limits
         changes = self.inputs[:, -self.steady_periods :].double().diff(dim=1).abs().mean((0, 1)).tolist()
+        shares = (change / (high - low) for change, (low, high) in zip(changes, limits or (WHOLE,) * len(names)))
         return [
-            weak("control.restless", input=name, percent=50 * change)
-            for name, change in zip(self.signature.input_names, changes, strict=True)
-            if change > RESTLESS
+            weak("control.restless", input=name, percent=100 * share)
+            for name, share in zip(names, shares, strict=True)
+            if share > RESTLESS
         ]
 
     def ended_runs(self, ends: Tensor | None) -> list[Finding]:

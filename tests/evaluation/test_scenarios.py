@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -230,6 +231,9 @@ def test_an_input_that_swings_while_a_target_is_held_is_told() -> None:
     trajectory = TensorDict({"action": action, "reference": torch.zeros(2, 100, 1)}, [2, 100])
     found = Evaluation("made up", signature, (0,), 0.05 * torch.arange(100), trajectory, {})
     assert found.restless == [weak("control.restless", input="u", percent=pytest.approx(2.5))]
+    halved = replace(found, signature=replace(signature, input_limits=((-1.0, 0.0), (0.0, 1.0))))
+    shares = {told.values["input"]: told.values["percent"] for told in halved.restless}
+    assert shares == {"u": pytest.approx(5.0), "v": pytest.approx(2.0)}
     trajectory["reference"][:, -1] = 1.0
     assert found.restless == []
 
