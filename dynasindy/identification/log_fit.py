@@ -427,8 +427,7 @@ class _Search:
     def run(self) -> LogFit | None:
         """Return the best candidate, fitted to all training data; None where none could be fitted."""
         try:
-            with _attempt():
-                self._try_all()
+            self._try_all()
             for each in sorted(self.tried, key=lambda each: round(each.score, 3)):  # of two alike, the first
                 with _attempt():
                     return self._final(each)
@@ -442,8 +441,7 @@ class _Search:
         """Return the model and the data with rates that nobody measured, if linear equations predict better by them."""
         wide, *_, given = (*self._structures(), (self.given, self.source))
         for structure in (wide, given) if wide[1] is not self.source else ():
-            with _attempt():
-                self._linear(*structure)
+            self._linear(*structure)
         return wide if self.tried and self.best.source is not self.source else given
 
     def _exact(self) -> bool:
@@ -584,6 +582,7 @@ class _Search:
         base = replace(self.refinement, method="trajectory", error="innovation", rounds=0, longest_delay=longest)
         return replace(base, **changes)
 
+    @_attempt()
     def _single_steps(self, structures: Sequence[tuple[SindyModel, Source]]) -> None:
         """Try the fit of single steps, which finds exact equations in data without noise; first with measured rates."""
         fold = self.folds[0]
@@ -631,6 +630,7 @@ class _Search:
             machine_code=old.machine_code,
         )
 
+    @_attempt()
     def _linear(self, model: SindyModel, source: Source) -> None:
         """Fit the linear functions of a model."""
         plain = _with_functions(model, _is_linear)
@@ -668,8 +668,7 @@ class _Search:
             return
         known, before = len(self.tried), self.best
         for attempt in attempts:
-            with _attempt():
-                attempt(until)
+            attempt(until)
         if any(each in self.tried[known:] for each in self._near()):
             # Functions first, as longer windows cost more.
             self._try_larger_libraries([min(self.tried[known:], key=lambda each: each.score)])
@@ -697,6 +696,7 @@ class _Search:
         """Tell whether a disturbance hardly fades, as an offset, which equations hold and a plan cannot foresee."""
         return any(seconds > self.slow for seconds in self._disturbances(model).values())
 
+    @_attempt()
     def _try_disturbances(self, until: float) -> None:
         """Try hidden states that add to inputs, one after the other."""
         for signal in self.source.signature.input_names:
@@ -707,6 +707,7 @@ class _Search:
             wide = of.source.with_unmeasured(models[0].signature)
             self._fit(f"{of.what}, {signal} disturbed", models, wide, self._settings(select=False))
 
+    @_attempt()
     def _try_chains(self, until: float) -> None:
         """Try hidden states behind each state that a simple model predicts better; the other equations stay."""
         of, signature = self.best, self.source.signature
@@ -724,6 +725,7 @@ class _Search:
                 chains = (chain_candidates(*each, state, signature.state_names) for each in parts)
                 self._ever_more_states(f"{of.what}, {state} with", chains, measured, until)
 
+    @_attempt()
     def _try_state_space(self, until: float) -> None:
         """Try linear equations of all states with hidden ones, first under inputs that move as in the best model."""
         holds = [(self.source, ""), (self.source.with_linear_inputs(), LINEAR)]
@@ -766,6 +768,7 @@ class _Search:
                 return [begun[0][k], *filter(None, alike[1:])]
         return []
 
+    @_attempt()
     def _select(self, of: Candidate) -> None:
         """Let functions come in and go, at two prices; of many those of one factor first, of too many none."""
         if of.structure is None:  # all of its functions are in its library
@@ -803,6 +806,7 @@ class _Search:
                 break
         return best
 
+    @_attempt()
     def _regressed(self, model: SindyModel, source: Source) -> None:
         """Begin at the equations that regressions of rates of change choose, as of a library without linear ones."""
         if len(model.library) > MANY and self.builder is not None:
@@ -834,6 +838,7 @@ class _Search:
             best = none
         return _with_functions(model, lambda each: _quotients(each) <= best)
 
+    @_attempt()
     def _try_larger_libraries(self, candidates: Iterable[Candidate]) -> None:
         """Try more functions, those of the best states first."""
         sets = dict.fromkeys(each.states for each in sorted(candidates, key=lambda each: each.score))
@@ -879,6 +884,7 @@ class _Search:
         roots = [n for (n, unit), level in zip(units.items(), levels, strict=False) if level and unit not in ANGLES]
         return [function_of("sqrt", n) for n in (*roots, *(model.followed if roots else ()))]
 
+    @_attempt()
     def _windows(self, of: Candidate) -> None:
         """Simulate over windows that grow, each fit begun where the one before ended."""
         if (of, "windows") in self.variations:
