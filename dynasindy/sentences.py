@@ -218,10 +218,10 @@ SEPARATE = 1e6
 """Condition number below which functions are well apart."""
 
 
-def _identifiability(rank: int, count: int, condition: float, weakest: Mapping[str, float]) -> str:
+def _identifiability(rank: int, count: int, condition: float, weakest: Mapping[str, float], read: Sequence[str]) -> str:
     if rank < count:
         which = f"{count - rank} of {count} candidate functions"
-        return f"{which} cannot be told apart from others by these data: excite {', '.join(weakest)} more, or otherwise"
+        return f"{which} cannot be told apart from others by these data: excite {', '.join(read)} more, or otherwise"
     known = f"condition number {condition:.2g}"
     if condition < SEPARATE:
         return f"the data can tell all {count} candidate functions apart ({known}; below {SEPARATE:,.0f} is good)"

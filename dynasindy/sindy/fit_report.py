@@ -54,6 +54,7 @@ class FitReport:
         findings: what a reader would not expect.
         dt: time that a transition takes [s].
         covariance: how well the coefficients are known; None where that is not told.
+        hidden: states that no sensor sees and that are no rates, of whose functions the samples hold nothing.
     """
 
     library: Library = field(repr=False)
@@ -65,6 +66,7 @@ class FitReport:
     findings: tuple[Finding, ...] = ()
     dt: float | None = None
     covariance: Covariance | None = field(default=None, repr=False)
+    hidden: frozenset[str] = frozenset()
 
     @property
     def terms(self) -> dict[str, int]:
@@ -82,10 +84,12 @@ class FitReport:
     def identifiability(self) -> Finding:
         """How well the samples separate the functions.
 
-        That is the rank of their columns, the condition number of these in unit norm, and the functions of the least
-        excited direction with their weights in it, heaviest first.
+        That is the rank of their columns, the condition number of these in unit norm, the functions of the least
+        excited direction with their weights in it, heaviest first, and what these read, which may be moved more.
         """
-        theta, names = self.factor.theta(), self.library.names
+        features = self.library.features
+        seen = [k for k, each in enumerate(features) if not each.variables & self.hidden] or range(len(features))
+        theta, names = self.factor.theta()[:, seen], [self.library.names[k] for k in seen]
         norms = theta.norm(dim=0)
         _, singular, directions = torch.linalg.svd(theta / torch.where(norms > 0, norms, 1.0))
         rank, weights = int((singular > 1e-10 * singular[0]).sum()), directions[-1].tolist()
@@ -93,7 +97,9 @@ class FitReport:
         weakest = {names[k]: 1.0 for k in (norms == 0).nonzero().flatten().tolist()}
         weakest = weakest or {names[k]: weights[k] for k in order if abs(weights[k]) > 0.2}
         condition = float(singular[0] / singular[-1])
-        return note("fit.identifiability", rank=rank, count=len(names), condition=condition, weakest=weakest)
+        read = sorted({v for k in seen for v in features[k].variables if self.library.names[k] in weakest})
+        found = {"rank": rank, "count": len(names), "condition": condition}
+        return note("fit.identifiability", **found, weakest=weakest, read=read)
 
     def told_apart(self) -> Tensor:
         """Return the part of each function that the others of its equation leave over, 0 to 1, `(n_features, n_x)`.

@@ -333,9 +333,9 @@ class SindyModel(WorldModel):
         data, constraints, cut = self._checked(transitions), self.constraints, list[Finding]()
         rates, first = rate_states(self.library, constraints), None
         guess = settle_lag_states(reconstruct(data, rates), self.followers)
+        hidden = data.x.isnan().all(0) & data.x_next.isnan().all(0)
         if self.initial is not None:
             first = torch.where(constraints.free, self.initial, constraints.offset)
-            hidden = data.x.isnan().all(0) & data.x_next.isnan().all(0)
             units, unscaled = _units_of_guess(self.library, first, constraints.free, hidden)
             if unscaled:
                 constraints = Constraints(constraints.free & ~units, torch.where(units, first, constraints.offset))
@@ -381,6 +381,7 @@ class SindyModel(WorldModel):
             findings,
             data.dt,
             self.covariance,
+            frozenset(n for i, n in enumerate(self.signature.state_names) if hidden[i] and i not in rates),
         )
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:

@@ -8,11 +8,12 @@ import pytest
 import torch
 
 from dynasindy.findings import Finding
-from dynasindy.sindy import FitReport, Library
+from dynasindy.sindy import FitReport, Library, Refinement, Regression, SindyModel
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.library import CONSTANT, of, variable
 from dynasindy.sindy.regression import TriangularFactor
 from dynasindy.systems import Signature
+from dynasindy.systems.transitions import Transitions
 
 PLAIN = Library(Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0)), [CONSTANT, variable("a"), variable("u")])
 XI = torch.tensor([[0.0, 1.0], [2.0, 0.0], [0.0, -1.0]], dtype=torch.float64)
@@ -117,6 +118,20 @@ def test_every_silent_input_is_named():
     x, u = samples()
     found = judge(LIBRARY, x, 0 * u)
     assert found.values["rank"] == 3 and found.values["weakest"] == {"u": 1.0, "v": 1.0}
+
+
+def test_functions_of_a_state_that_no_sensor_sees_are_not_asked_about():
+    """Only u is to be excited: nobody can move h by itself, whose samples are a guess."""
+    u, x = np.zeros((200, 1)), np.zeros((201, 2))
+    for k in range(200):
+        x[k + 1] = x[k] + 0.1 * np.array([x[k, 1] - x[k, 0], 1 - x[k, 1] + u[k, 0]])
+    x[:, 1] = np.nan
+    library, guess = ["y", "h", "1", "u"], {"y": {"y": -1.0, "h": 1.0}, "h": {"h": -1.0, "1": 1.0}}
+    refinement = Refinement("trajectory", rounds=0)
+    signature = Signature(("y", "h"), ("-", "-"), ("u",), (1.0, 1.0))
+    model = SindyModel(signature, library, Regression("bic"), refinement, initial=guess)
+    found = model.fit(Transitions.from_trajectory(torch.from_numpy(x), torch.from_numpy(u), 0.1)).identifiability
+    assert (found.values["rank"], found.values["count"], found.values["read"]) == (2, 3, ["u"])
 
 
 def test_small_swings_and_speeds_of_one_sign_are_named():
