@@ -545,7 +545,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "that explain most, as {samples} samples tell no more; log longer, or name the functions that move the plant",
     "fit.shape": "the number in {function} stayed at its first guess {guess:g}: the data hardly determine it",
     "fit.candidates": "{count:the one model that was tried predicts|of # models tried this one predicts best} up "
-    "to {seconds:g} s ahead in parts of the training data that the fit had not seen",
+    "to {seconds:time} ahead in parts of the training data that the fit had not seen",
     "fit.added_rates": "no sensor sees {states:and}, by which the model predicts better; {known:plant.known} leaves "
     "rates out",
     "fit.linear_inputs": "taken to move in straight lines between samples, not to be held, as the model then predicts "

@@ -160,9 +160,8 @@ class Evaluation:
         """What a table of it was measured on; errors and returns compare at equal lengths only."""
         count, what = len(self.outputs), "reference" if self.columns else "episode"
         facts = [f"{count} {what}{'s' * (count > 1)}", format_duration(self.seconds)]
-        facts += [
-            f"disturbed from {format_duration(begin, end)} to {format_duration(end)}" for begin, end in self.windows
-        ]
+        windows = ([format_duration(edge, self.seconds) for edge in window] for window in self.windows)
+        facts += [f"disturbed from {begin} to {end}" for begin, end in windows]
         return f"Scenario '{self.scenario}' ({', '.join(facts)})"
 
     @property

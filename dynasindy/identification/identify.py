@@ -327,7 +327,7 @@ def table(forecasts: ForecastErrors, signature: Signature) -> list[str]:
         signature: Names and units of the states.
     """
     kinds = {"model": forecasts.model, "linear model": forecasts.linear, "last value held": forecasts.held}
-    heads = [format_duration(horizon) for horizon in forecasts.horizons]
+    heads = [format_duration(horizon, max(forecasts.horizons)) for horizon in forecasts.horizons]
     text = [
         f"RMS error over some time of predictions that begin at {forecasts.starts} samples which the fit did not see; "
         f"the linear model predicts from {forecasts.order} past samples"

@@ -112,6 +112,8 @@ def test_the_table_holds_measured_states_alone():
     assert state == "  q [rad], read to 0.0015 by its sensor"
     assert rows[1].split() == ["2", "s", "0.002", "1", "0.1"]
     assert not any("v [" in line for line in table(forecasts(0.002), SIGNATURE))
+    slow = replace(forecasts(0.002), horizons=(60.0, 300.0, 1200.0))
+    assert [row.split()[:2] for row in table(slow, SIGNATURE)[3:6]] == [["1", "min"], ["5", "min"], ["20", "min"]]
 
 
 def test_an_input_is_known_between_the_ends_of_a_log_where_the_equations_bend_in_it():
