@@ -51,7 +51,7 @@ def test_a_task_without_targets_is_flown_as_it_draws_episodes():
     assert parts.plant.task.library.names[-2:] == ("w^2", "torque^2")
 
 
-@pytest.mark.parametrize("experiment", ["paper", "dyna", "gradient"])
+@pytest.mark.parametrize("experiment", ["paper", "dyna", "gradient", "smoke"])
 def test_without_planning_no_experiment_imagines_anything(experiment):
     _, parts = build(f"experiment={experiment}", "planning=none")
     assert parts.planner.plan().imagined == 0 and not parts.planner.due(1)
