@@ -443,13 +443,17 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.copies": "{count:# row is the one before|# rows are those before them} once more, the first in line {line}, "
     "and left out",
     "log.code": "{column} is {value:g} in {count:# row|# rows} from line {line} on, far off all others, and left out",
-    "log.spikes": "{state} leaves its course for {count:a single sample in|# single samples, first in} line {line}, "
-    "which {count:counts|count} as missing",
+    "log.spikes": "{count:a single sample|# single samples} of {state}, {count:in|the first in} line {line}, "
+    "{count:is|are} far off its course and {count:counts|count} as missing",
     "log.unwrapped": "{state} jumps by {turn:.6g} {times:once|# times} and was unwrapped, as a controller has to do"
     "{counts:|; a unit that is none of an angle keeps it as it is}",
-    "log.jumps": "{state} jumps {times:once|# times} by up to {size:.4g}, first after {after:.6g} s, and else moves by "
-    "at most {usual:.4g} from row to row. If it goes round, give the length of a turn, here 1 / scale: "
-    "{states:data.states}; if it was set anew, or its unit changed, split the log there",
+    "log.jumps": lambda states, **facts: _fill(
+        "{state} jumps {times:once|# times} by up to {size:.4g}, first after {after:.6g} s, and else moves by at most "
+        "{usual:.4g} from row to row. "
+        + ("If it goes round, give the length of a turn, here 1 / scale: {states:data.states}; if" if states else "If")
+        + " it was set anew, or its unit changed, split the log there",
+        {"states": states, **facts},
+    ),
     "log.long_gap": "{rows} rows in stretches of more than {longest:g} rows without {state} were left out",
     "log.gaps": "{count:# gap|# gaps} longer than 1.5 sampling times {count:splits|split} the recording",
     "log.resampled": "{count} of {total} sampling times are not {dt:g} s; states were resampled by splines, inputs, "
@@ -459,8 +463,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "are states, give {states:data.states}",
     "log.held_states": "{states:list} stand still in most rows, as commands do, sensors that failed, and samples "
     "that are repeated; name commands in <data.inputs>, and write repeated samples as empty cells",
-    "log.guessed_inputs": "taken as input: {inputs:list}, {named:by name, as others follow|by steps where all others "
-    "move in most rows}; if that is wrong, correct {inputs:data.inputs} and {states:data.states}",
+    "log.guessed_inputs": "taken as input by {named:name, as other columns follow|steps, where all others move in "
+    "most rows}: {inputs:list}; if that is wrong, correct {inputs:data.inputs} and {states:data.states}",
     "log.unmeasured": "{state} is seen by no sensor; it is estimated with the model",
     "log.converted": lambda units, kept: (
         f"converted: {', '.join(f'{name} from {old} to {new}' for name, (old, new) in units.items())}, as targets, "
@@ -552,8 +556,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "better: {inputs:and}",
     "fit.disturbance": "no sensor sees {state}, which pushes the plant at random and fades within {seconds:.3g} s; it "
     "is estimated from past samples, and with it the model predicts better",
-    "fit.hidden_states": "no sensor sees {states:and}, states of a linear model that are estimated from past samples; "
-    "with them the model predicts better",
+    "fit.hidden_states": "no sensor sees {states:and}, added by a linear model and estimated from past samples; so the "
+    "model predicts better",
     "fit.behind": "{state} up to {seconds:time} ahead was predicted {factor:.3g} times as well by the best simple "
     "model, of past samples (ARX) or the last value held, in parts of the training data that the fit had not seen",
     "fit.budget": "the search ended after {seconds:.0f} s of computing{stopped:?(it was stopped)}; the best model "
@@ -564,8 +568,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "model.lag_state": "{state}, seen by no sensor, follows {signal} with a time constant of {seconds:.3g} s",
     "model.idle_state": "{states:and} stand in no equation; what no sensor sees needs a first guess of the equations, "
     "as in {initial:plant.initial}, with numbers of your plant",
-    "model.predicts": lambda seconds, exact: (
-        f"this model predicts {format_duration(seconds)} ahead"
+    "model.predicts": lambda seconds, exact, behind=False: (
+        f"{'even so, ' * behind}this model predicts {format_duration(seconds)} ahead"
         + f", and {', '.join(exact)} as exactly as the sensors can tell" * bool(exact)
     ),
     "model.incomplete": "this model is better than the last value held for {seconds:time}, but it lacks something",
@@ -661,8 +665,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "control.period": lambda cause, **facts: _fill(
         f"the control period is {{seconds:g}} s, {PERIODS[cause]}; <env.dt> chooses another one", facts
     ),
-    "control.sampled": "the control period is {seconds:g} s, of multiples of the log's sampling time of {step:g} s "
-    "the one nearest to {wanted:g} s",
+    "control.sampled": "the control period is {seconds:g} s, the multiple of the log's sampling time of {step:g} s "
+    "that is nearest to {wanted:env.dt}",
     "control.restless": "at rest {input} still changes by {percent:.2g} % of its range from period to period, on "
     "average: see that the actuator stands it",
     "control.beyond_targets": "references of {output} in scenario '{scenario}' go from {least:.3g} to "

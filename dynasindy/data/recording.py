@@ -180,7 +180,8 @@ class LogReader:
         for part in parts:
             t, x, u, segment = _resample(part.t, part.x, (part.u - rest) / unit, dt, part.findings)
             usable = ~(_long_gaps(x, segment, part.findings) | _stops(x, part.findings))
-            part.findings.extend(each for name, column in x.items() for each in _jumps(name, column, t, u, usable))
+            for state, samples in x.items():
+                part.findings.extend(_jumps(state, states[state].unit, samples, t, u, usable))
             full = np.stack([x.get(name, np.full(len(t), np.nan)) for name in states], -1)
             sizes = np.maximum(sizes, np.abs(np.nan_to_num(full)).max(0, initial=0.0))
             whole = torch.from_numpy((segment[1:] == segment[:-1]) & usable[1:] & usable[:-1])
@@ -399,7 +400,7 @@ def _unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Ar
     return x
 
 
-def _jumps(name: str, x: Array, t: Array, u: Array, usable: NDArray[np.bool_]) -> list[Finding]:
+def _jumps(name: str, unit: str, x: Array, t: Array, u: Array, usable: NDArray[np.bool_]) -> list[Finding]:
     """Tell of a few steps from row to row that are far beyond all others at which an input jumps, or none does."""
     rows = np.flatnonzero(np.isfinite(x) & usable)
     steps, ahead = np.abs(np.diff(x[rows])), np.diff(t[rows])
@@ -413,7 +414,7 @@ def _jumps(name: str, x: Array, t: Array, u: Array, usable: NDArray[np.bool_]) -
             after = float(t[rows[1 + (alike & (steps >= sizes[far[-1]])).argmax()]] - t[0])
             facts = {"times": int(far[-1]) + 1, "size": float(sizes[0]), "usual": float(sizes[far[-1] + 1])}
             turn = {name: {"name": name, "unit": "turn", "scale": float(f"{1 / np.ptp(x[rows]):.4g}")}}
-            return [weak("log.jumps", state=name, after=after, **facts, states=turn)]
+            return [weak("log.jumps", state=name, after=after, **facts, states={} if "/" in unit else turn)]
     return []
 
 

@@ -169,10 +169,7 @@ def to_text(
         return f"{heading:38s}" + "".join(f" {cell:>11s}" for cell in cells)
 
     def cells(metric: str, columns: Sequence[str], factor: float = 1.0) -> list[str]:
-        # Among steps, a time without a number is one that most of them never reach.
-        never = [metric.endswith("_time") and summary[f"settled/{column}"] is not None for column in columns]
-        values = (summary[f"{metric}/{column}"] for column in columns)
-        return [_cell(v, factor, "never" if n else "-") for v, n in zip(values, never, strict=True)]
+        return [_cell(summary[f"{metric}/{column}"], factor) for column in columns]
 
     lines = [title] if title else []
     if axes:
@@ -200,5 +197,5 @@ def _columns(summary: Mapping[str, float | None], metric: str) -> list[str]:
     return [key.partition("/")[2] for key in summary if key.startswith(f"{metric}/")]
 
 
-def _cell(value: float | None, factor: float = 1.0, missing: str = "-") -> str:
-    return missing if value is None else f"{factor * value:.4g}"
+def _cell(value: float | None, factor: float = 1.0) -> str:
+    return "-" if value is None else f"{factor * value:.4g}"

@@ -330,7 +330,7 @@ def table(forecasts: ForecastErrors, signature: Signature) -> list[str]:
     heads = [format_duration(horizon, max(forecasts.horizons)) for horizon in forecasts.horizons]
     text = [
         f"RMS error over some time of predictions that begin at {forecasts.starts} samples which the fit did not see; "
-        f"the linear model predicts from {forecasts.order} past samples"
+        f"the linear model predicts from {forecasts.order} past sample{'s' * (forecasts.order > 1)}"
     ]
     for name, unit, scale, finest, *columns in zip(
         signature.state_names,

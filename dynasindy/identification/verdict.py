@@ -64,7 +64,7 @@ def model_findings(forecasts: ForecastErrors, signature: Signature) -> list[Find
     reach = next((k - 1 for k in range(forecasts.middle + 1, len(enough)) if not enough[k]), len(enough) - 1)
     exact = (forecasts.model <= RESOLVED * forecasts.resolution)[reach] & ~forecasts.held[reach].isnan()
     names = _names(signature, exact)
-    return [*better, note("model.predicts", seconds=forecasts.horizons[reach], exact=names)]
+    return [*better, note("model.predicts", seconds=forecasts.horizons[reach], exact=names, behind=bool(better))]
 
 
 def _predicted(forecasts: ForecastErrors) -> Tensor:

@@ -478,6 +478,8 @@ def test_what_is_emptied_or_set_anew_stays_and_is_told_with_the_setting_that_unw
         if times > 1:
             turned = LoggedData(str(path), states=told.values["states"], inputs=["u"]).recording(None)
             assert "log.unwrapped" in [each.code for each in turned.findings]
+    found = recording(path, "time,x [rad/s],u", T, level, COMMAND)
+    assert [each.values["states"] for each in found.findings if each.code == "log.jumps"] == [{}], "no turn of a rate"
 
 
 LEVEL = np.interp(T, [0, 1.5, 1.8, 3.3, 3.6, 4], [0, 355, 2, 355, 1, 90])  # of a tank that is emptied

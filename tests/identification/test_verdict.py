@@ -43,8 +43,8 @@ def forecasts(q: float, w: float = 20.0, linear: float = 1.0) -> ForecastErrors:
 @pytest.mark.parametrize(
     ("q", "told"),
     [
-        (0.002, note("model.predicts", seconds=2.0, exact=["q", "w"])),
-        (0.04, note("model.predicts", seconds=2.0, exact=["w"])),
+        (0.002, note("model.predicts", seconds=2.0, exact=["q", "w"], behind=False)),
+        (0.04, note("model.predicts", seconds=2.0, exact=["w"], behind=False)),
         (
             0.06,
             wrong(
@@ -69,12 +69,12 @@ def better(error, linear):
 
 
 def test_a_linear_model_that_is_better_is_said_to_be():
-    promise = note("model.predicts", seconds=2.0, exact=["w"])
+    promise, alone = (note("model.predicts", seconds=2.0, exact=["w"], behind=b) for b in (True, False))
     assert model_findings(forecasts(0.04, linear=0.03), SIGNATURE) == [
         weak("model.linear_better", **better(0.04, 0.03), far=False),
         promise,
     ]
-    assert model_findings(forecasts(0.04, linear=0.0395), SIGNATURE) == [promise]
+    assert model_findings(forecasts(0.04, linear=0.0395), SIGNATURE) == [alone]
     assert model_findings(forecasts(0.04, linear=0.01), SIGNATURE) == [
         wrong("model.linear_better", **better(0.04, 0.01), far=True),
         weak("model.incomplete", seconds=2.0),
