@@ -180,8 +180,8 @@ class LogReader:
         for part in parts:
             t, x, u, segment = _resample(part.t, part.x, (part.u - rest) / unit, dt, part.findings)
             usable = ~(_long_gaps(x, segment, part.findings) | _stops(x, part.findings))
-            for state, samples in x.items():
-                part.findings.extend(_jumps(state, states[state].unit, samples, t, u, usable))
+            for state, values in x.items():
+                part.findings.extend(_jumps(state, states[state].unit, values, t, u, usable))
             full = np.stack([x.get(name, np.full(len(t), np.nan)) for name in states], -1)
             sizes = np.maximum(sizes, np.abs(np.nan_to_num(full)).max(0, initial=0.0))
             whole = torch.from_numpy((segment[1:] == segment[:-1]) & usable[1:] & usable[:-1])
