@@ -96,7 +96,9 @@ def _read_text(path: Path, file: TextIO) -> Raw:
     except pd.errors.EmptyDataError:
         frame = pd.DataFrame(columns=range(width), dtype=float)
     except pd.errors.ParserError as error:
-        raise _no_table(path, str(error).partition("C error: ")[2].strip()) from error
+        opened = re.search(r"inside string starting at row (\d+)", str(error))
+        unclosed = opened and f"a quote opens in line {int(opened[1]) + 1} and never closes"
+        raise _no_table(path, unclosed or str(error).partition("C error: ")[2].strip()) from error
     frame.index = pd.RangeIndex(first + 1, first + 1 + len(frame))
     for column, texts in frame.select_dtypes("str").items():
         if (broken := texts.str.contains("[\r\n]")).any():

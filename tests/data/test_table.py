@@ -69,7 +69,7 @@ def test_a_quote_within_a_value_is_a_letter(tmp_path):
         ("", "is empty"),
         ("1,2,3,4\n3,4,5,6\n", "no line of headings"),
         ("a,b\n1,2,3\n", "line 2 has more values"),
-        ('a,b\n1,2\n3,"4\n5,6\n', "inside string starting at row 2"),
+        ('a,b\n1,2\n3,"4\n5,6\n', "quote opens in line 3"),
         ("a,a\n1,2\n", "2 columns 'a'"),
         ("b,c\n1,2\n", "no column 'a'; allowed are b, c"),
         ("a\0b\n", "is not text"),
