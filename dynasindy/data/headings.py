@@ -28,7 +28,7 @@ UNITS = frozenset((
     "s", "sec", "ms", "us", "ns", "min", "h", "hz", "khz", "m", "mm", "cm", "km", "m/s", "m/s2", "m/s^2",
     "mm/s", "km/h", "rad", "rad/s", "deg", "deg/s", "°", "°/s", "rpm", "1/min", "turn", "v", "mv", "a", "ma",
     "w", "kw", "n", "kn", "nm", "n*m", "pa", "kpa", "mpa", "bar", "mbar", "k", "c", "°c", "degc", "%", "pct",
-    "-", "kg", "g", "l", "l/s", "l/min", "m3/h", "counts", "ticks", "1", "t",
+    "-", "1", "p.u.", "pu", "kg", "g", "l", "l/s", "l/min", "m3/h", "counts", "ticks", "t",
 ))  # fmt: skip
 """Units that may stand below the headings, in them or in each cell, in small letters and without brackets."""
 CLOCKS = ("time", "t", "timestamp", "timestamps", "stamp", "datetime", "elapsed", "uptime", "epoch", "x_value")

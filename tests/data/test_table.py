@@ -37,6 +37,7 @@ def test_text_in_a_column_of_numbers_is_told_with_its_line(tmp_path):
         ("Motor test 3\na,b,c\n1,2,3\n", "a b c", [3]),
         ("Motor test 3, third run\nSolver; RK4\n\na;b;c\n1,5;2;3\n", "a b c", [5]),
         ("a,b,c\ns,V,-\n1,2,3\n", "a [s],b [V],c", [3]),
+        ("a,b\np.u.,x\n1,2\n", "a [p.u.],b [x]", [3]),
         ("a,b,c\n(s),(V),(-)\n\n1,2,3\n", "a [s],b [V],c", [4]),
         ("a,b,c\n,,\n1,2,3\n", "a b c", [3]),
         ("a,b\nx,y\n", "a b", [2]),
