@@ -66,9 +66,7 @@ def training_data(
         segment: `(T,)` number of the unbroken stretch of each sample; lines break between them.
     """
     seconds, values, moving = style.array(time), style.array(x), style.array(u)
-    seen = [i for i in range(values.shape[1]) if not np.isnan(values[:, i]).all()]
-    if unseen := [name for i, name in enumerate(signature.state_names) if i not in seen]:
-        title = f"{title}; not measured: {', '.join(unseen)}"
+    seen, title = _seen(values, signature, title)
     names = (*(signature.state_names[i] for i in seen), *signature.input_names)
     units = (*(signature.state_units[i] for i in seen), *("-",) * signature.n_u)
     figure, axes = style.time_panels(names, units, title)
@@ -93,7 +91,7 @@ def prediction(
     segment: ArrayLike | None = None,
     truth: str = "real",
 ) -> Figure:
-    """Draw free-running prediction against the plant, each panel with its error.
+    """Draw free-running prediction of measured states against the plant, each panel with its error.
 
     The error is told in percent of the range, the largest minus the smallest value, of the plant's own curve in that
     panel, and how wide that is.
@@ -109,30 +107,34 @@ def prediction(
     """
     seconds, truths, model = style.array(time), style.array(real), style.array(predicted)
     x = _broken(seconds, segment)
-    names, whose = signature.state_names, "the real range" if truth == "real" else f"the {truth}'s range"
-    figure, axes = style.time_panels(names, signature.state_units, title)
-    for i in range(len(names)):
-        known = truths[~np.isnan(truths[:, i]), i]
-        scale = signature.x_scale[i]  # all that is known of the range of a state that was not measured
-        if not len(known):
-            known = np.array([-scale, scale])
+    whose = "the real range" if truth == "real" else f"the {truth}'s range"
+    seen, title = _seen(truths, signature, title)
+    names, units = ([kind[i] for i in seen] for kind in (signature.state_names, signature.state_units))
+    figure, axes = style.time_panels(names, units, title)
+    for axis, unit, course, ended in zip(axes, units, truths[:, seen].T, model[:, seen].T, strict=True):
+        known = course[~np.isnan(course)]
         wide = float(np.ptp(known))
-        ended, course = model[:, i], truths[:, i]
+        whole = (f"{wide:.0f}" if wide >= 100 else f"{wide:.3g}") + unit_suffix(unit)
+        axis.set_title(_fit(course, ended, f"{whole}, {whose}"), fontsize=8.5, loc="right")
         with np.errstate(invalid="ignore"):  # what follows a loss would only streak the panel
-            lost = (np.abs(ended if np.isnan(course).all() else ended - course) > LOST * wide) & (wide > 0)
+            lost = (np.abs(ended - course) > LOST * wide) & (wide > 0)
         ended = np.where(np.logical_or.accumulate(lost | ~np.isfinite(ended)), np.nan, ended)
-        axes[i].plot(x, _broken(truths[:, i], segment), color=style.BLACK, linewidth=1.2, label=truth)
-        axes[i].plot(x, _broken(ended, segment), color=style.RED, linestyle=":", linewidth=1.8, label="predicted")
-        whole = (f"{wide:.0f}" if wide >= 100 else f"{wide:.3g}") + unit_suffix(signature.state_units[i])
-        axes[i].set_title(_fit(truths[:, i], model[:, i], f"{whole}, {whose}"), fontsize=8.5, loc="right")
-        measured = not np.isnan(truths[:, i]).all()
-        if wide > 0 and (measured or bool((np.abs(np.nan_to_num(ended)) > scale).any())):
+        axis.plot(x, _broken(course, segment), color=style.BLACK, linewidth=1.2, label=truth)
+        axis.plot(x, _broken(ended, segment), color=style.RED, linestyle=":", linewidth=1.8, label="predicted")
+        if wide > 0:
             # A model that runs away must not flatten the plant's own curve.
             both, room = np.concatenate([known, ended[np.isfinite(ended)]]), (BEYOND - MARGIN) * wide
             low, high = max(both.min(), known.min() - room), min(both.max(), known.max() + room)
-            axes[i].set_ylim(float(low - MARGIN * wide), float(high + MARGIN * wide))
+            axis.set_ylim(float(low - MARGIN * wide), float(high + MARGIN * wide))
     _finish(figure, seconds, segment)
     return figure
+
+
+def _seen(states: style.Array, signature: Signature, title: str) -> tuple[list[int], str]:
+    """Return which states were measured, and a title that names the others."""
+    seen = np.flatnonzero(~np.isnan(states).all(0)).tolist()
+    unseen = [name for i, name in enumerate(signature.state_names) if i not in seen]
+    return seen, f"{title}; not measured: {', '.join(unseen)}" if unseen else title
 
 
 def _mark(axes: Sequence[Axes], places: style.Array, **look: Any) -> None:
@@ -163,8 +165,6 @@ def _finish(figure: Figure, seconds: style.Array, segment: ArrayLike | None) -> 
 def _fit(real: style.Array, predicted: style.Array, whole: str) -> str:
     """Return the error of a prediction in words, in percent of the range of what it predicts, which is `whole`."""
     seen, finite = ~np.isnan(real), bool(np.isfinite(predicted).all())
-    if not seen.any():
-        return "not measured"
     real, predicted = real[seen], predicted[seen]
     with np.errstate(over="ignore", invalid="ignore"):
         rmse, wide = float(np.sqrt(np.mean((real - predicted) ** 2))), float(np.ptp(real))
