@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations
 
@@ -15,6 +16,8 @@ from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import turn_of
 from dynasindy.systems.equilibria import PERIOD, find_equilibria
 
+ACCELERATION = re.compile(r"accel|/s(\^?2|²)", re.IGNORECASE)
+"""Name or unit of what cannot be held but at rest."""
 INNER = 0.1
 """Part of the samples beyond either end of the targets: the plant was at all of them, for some time."""
 DIGITS = 2
@@ -40,9 +43,9 @@ def targets_like(
 ) -> dict[str, list[str]]:
     """Return the words for what is to be held and within which ends, as far as nobody gave them.
 
-    Outputs are measured states that are no rates, at most as many as there are inputs. Their targets are where most
-    samples of the log lie, of an angle one turn at most, and only where an input of the model holds them; where the
-    first such outputs have no targets that can be held, others are tried, and fewer.
+    Outputs are measured states that are no rates and no accelerations, at most as many as there are inputs. Their
+    targets are where most samples of the log lie, of an angle one turn at most, and only where an input of the model
+    holds them; where the first such outputs have no targets that can be held, others are tried, and fewer.
 
     Args:
         source: The data.
@@ -53,7 +56,9 @@ def targets_like(
     """
     signature, seen = source.signature, ~source.training.x.isnan().all(0)
     wanted = [name for name, seen_ in zip(signature.state_names, seen.tolist(), strict=True) if seen_]
-    first = [name for name in wanted if name not in rates] or wanted[:1]
+    plain = [name for name in wanted if name not in rates]
+    units = dict(zip(signature.state_names, signature.state_units, strict=True))
+    first = [name for name in plain if not ACCELERATION.search(f"{name} {units[name]}")] or plain or wanted[:1]
     named = [str(name) for name in given.get("outputs") or ()]
     if not set(named) <= set(wanted):
         return {}

@@ -70,6 +70,12 @@ def test_an_output_that_no_input_moves_is_not_proposed_where_another_one_is_held
     assert targets_like(source, [], given, model)["low"] == ["-0.8"]  # whoever names it gets where the log was
 
 
+def test_an_acceleration_is_proposed_only_where_there_is_nothing_else():
+    units = ("m/s^2", "-", "m/s")
+    assert targets_like(logged({"a": 1, "body_accel": 1, "speed": 1}, units), [], NONE)["outputs"] == ["speed"]
+    assert targets_like(logged({"a": 1}, units[:1]), [], NONE)["outputs"] == ["a"]
+
+
 @pytest.mark.parametrize(("unit", "turn"), [("rad", 2 * math.pi), ("deg", 360.0)])
 def test_of_an_angle_that_was_spun_a_turn_around_zero_is_proposed(unit, turn):
     source = logged({"angle": 20 * turn}, (unit,))
