@@ -16,7 +16,7 @@ from dynasindy.control import Controller
 from dynasindy.evaluation.closed_loop import PERIODS, ClosedLoop, LoopSimulation
 from dynasindy.evaluation.linear_loop import NEUTRAL, Array, Margins, RestingLoop, find_rest, loop_margins
 from dynasindy.findings import Finding, note, records, weak, wrong
-from dynasindy.identification.verdict import dry_friction
+from dynasindy.identification.verdict import dry_friction, moved_by_inputs
 from dynasindy.planning.margins import MOVEMENT
 from dynasindy.progress import reporting_as, track
 from dynasindy.safe_io import checked_class
@@ -291,7 +291,10 @@ def _variants(model: SindyModel, draws: int, seed: int) -> tuple[Tensor, str]:
     how = f"from the covariance of the fit, with standard errors of {shares.min():.2g} to {shares.max():.2g} %"
     normal = torch.randn(draws, known.factor.shape[1], generator=generator, dtype=torch.float64)
     drawn[:, known.features, known.states] += normal @ known.factor.mT
-    return drawn, how
+    # How a disturbance fades is nothing that a controller has to stand, or that training mends.
+    moved = moved_by_inputs(model)
+    pushed = torch.tensor([name in moved for name in model.signature.state_names])
+    return torch.where(pushed, drawn, xi), how
 
 
 def _spread(

@@ -179,6 +179,13 @@ def require_controlled(model: SindyModel, outputs: Sequence[str]) -> None:
     Raises:
         FindingError: There are such outputs.
     """
+    moved = moved_by_inputs(model)
+    if still := [name for name in outputs if name not in moved]:
+        raise FindingError("model.uncontrolled", outputs=still)
+
+
+def moved_by_inputs(model: SindyModel) -> set[str]:
+    """Return the inputs, and the states that they move in the equations, be it through other states."""
     names, moved = model.signature.state_names, set(model.signature.input_names)
     read = {
         name: _variables(_used(model.library.features, column))
@@ -186,8 +193,7 @@ def require_controlled(model: SindyModel, outputs: Sequence[str]) -> None:
     }
     for _ in names:
         moved |= {name for name in names if read[name] & moved}
-    if still := [name for name in outputs if name not in moved]:
-        raise FindingError("model.uncontrolled", outputs=still)
+    return moved
 
 
 def inputs_beyond_log(model: SindyModel, logged: Tensor, applied: Tensor) -> list[Finding]:

@@ -342,6 +342,16 @@ def test_draws_spread_and_go_together_as_the_covariance_of_the_fit_says():
     assert how == "from the covariance of the fit, with standard errors of 10 to 20 %"
 
 
+def test_how_a_disturbance_fades_is_not_drawn():
+    """d pushes y and no input moves it: were its -0.1 drawn, +-0.2, no controller could stop what grows."""
+    plant = Signature(("y", "d"), ("-", "-"), ("u",), (1.0, 1.0))
+    model = SindyModel(plant, ["y", "d", "u"])
+    model.set_coefficients(torch.tensor([[-1.0, 0.0], [1.0, -0.1], [3.0, 0.0]], dtype=torch.float64))
+    model.covariance = Covariance(torch.tensor([0, 1]), torch.tensor([0, 1]), 0.2 * torch.eye(2, dtype=torch.float64))
+    spread = _variants(model, 100, 0)[0].std(0)
+    assert spread[0, 0] > 0.1 and spread[:, 1].max() == 0
+
+
 @pytest.mark.parametrize("method", [None, "integral", "trajectory", "one_step"])
 def test_equations_that_are_all_given_have_no_uncertainty(method):
     u = torch.rand(200, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
