@@ -439,6 +439,12 @@ def test_a_signal_that_jumps_or_is_noisy_keeps_all_its_samples(tmp_path, noise):
     assert "log.spikes" not in {each.code for each in found.findings}
 
 
+def test_a_plant_that_its_first_row_sets_in_motion_keeps_that_row(tmp_path):
+    speed = np.concatenate([[0.0], 5 + 0.01 * RATE[1:-1], [0.0]])
+    found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, ANGLE, speed, COMMAND))
+    assert found.transitions.x.isfinite().all() and found.transitions.x[0, 1] == 0
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
