@@ -88,8 +88,9 @@ def lag_state_candidates(model: SindyModel, data: Transitions, beside: bool = Tr
     # What may be followed: the inputs, and the measured states whose equation, or whose rate's, is sought.
     measured, found, alone = ~data.x.isnan().all(0), list[tuple[float, SindyModel]](), late[model.delay]
     plain = _unexplained(model, alone.rows(model.library, model.library))
-    names = [name for i, name in enumerate(model.signature.state_names) if bool(measured[i] & _moved(model, i)[1])]
-    inputs = [name for name in model.signature.input_names if name not in model.followed.values()]
+    followed, states = set(model.followed.values()), model.signature.state_names
+    names = [n for i, n in enumerate(states) if n not in followed and bool(measured[i] & _moved(model, i)[1])]
+    inputs = [name for name in model.signature.input_names if name not in followed]
     each_or_all = [(name,) for name in (*inputs, *names)] + [tuple(inputs)] * (len(inputs) > 1)
     trials = [(signals, reduce(with_lag_state, signals, model)) for signals in each_or_all]
     if beside and len({_moved(model, model.signature.state_index(name))[0] for name in names}) > 1:  # parts of a plant

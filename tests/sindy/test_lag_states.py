@@ -188,6 +188,8 @@ def test_a_second_heat_store_is_found_from_the_temperature_of_the_first():
     assert terms(best, "T_lagging") == {"(T - T_lagging)": pytest.approx(1 / 360, rel=1e-4)}
     found = {"signal": "T", "seconds": pytest.approx(360, rel=1e-4), "is_input": False, "state": "T_lagging"}
     assert lag_state_findings(best) == [note("model.lag_state", **found)]
+    more = lag_state_candidates(best, widened(data))
+    assert all(sorted(each.followed.values()) == ["T", "u"] for each in more), "T is followed already"
 
 
 def commanded(data, samples):
