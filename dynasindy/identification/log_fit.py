@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -54,7 +54,15 @@ from dynasindy.sindy.library import Constraints, Factor, Feature, Library, varia
 from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.named_libraries import PLACE, LibraryBuilder, auto, auto_rig, is_speed, polynomial
-from dynasindy.sindy.reconstruction import RegressionData, disturbance_states, find_rates, rate_states, reconstruct
+from dynasindy.sindy.reconstruction import (
+    ALIKE,
+    SIMILAR,
+    RegressionData,
+    disturbance_states,
+    find_rates,
+    rate_states,
+    reconstruct,
+)
 from dynasindy.sindy.refinement import FARTHER, TELLING, Refinement
 from dynasindy.sindy.regression import SAMPLES_EACH, Rows, fit_supported
 from dynasindy.sindy.shooting import CHOSEN_STRETCHES, MOST_STEPS, choose_stretches
@@ -96,14 +104,12 @@ PRICES, SURE = (1.0, 2.0), 0.1
 """Factors on what a function must be worth; standard error below which it is worth any of them [coefficients]."""
 HOPELESS = 1.0
 """Score behind the best one beyond which nothing dearer is tried of a candidate, and a fit to all data is not taken."""
-FAR_BEHIND = 0.5
-"""Score of equations with functions beyond which hidden states are tried before longer simulations."""
 LEADERS = 3
 """Models that longer simulations are fitted by, those first that predict best."""
 MANY = 100
 """Functions up to which regressions choose among all of them, and beyond which those of one factor come first."""
-SHARE, HIDDEN_SHARE, LARGEST_SHARE, LAST_SHARE = 0.25, 0.35, 0.3, 0.15
-"""Part of the time that states that follow a signal may take, hidden states before longer simulations, any one
+SHARE, LARGEST_SHARE, LAST_SHARE = 0.25, 0.3, 0.15
+"""Part of the time that states that follow a signal may take, longer simulations, and hidden states, any one
 candidate, and the last fit."""
 FIRST_SHARE = 1 / 30
 """Part of the time that may have passed after the first candidate on one part, or no others are kept to judge on."""
@@ -111,8 +117,8 @@ CUBIC = 6
 """States and inputs up to which cubic functions are tried."""
 ANGLES = frozenset({"rad", *TURNS})
 """Units of what has no root."""
-LATEST = 30
-"""Samples within which a delay is looked for, at least."""
+LATEST, FINER = 30, 1.25
+"""Samples within which a delay is looked for, at least, and ratio of those that regressions try."""
 EXACT = 1e-5
 """Error that is as good as none, however fine a sensor is [ranges of the state]."""
 CLEAR = 2.0
@@ -223,15 +229,19 @@ class HoldOut:
 
     @classmethod
     def folds(cls, source: Source) -> list[HoldOut]:
-        """Split training data: a long recording once, a short one several times, each time with another part kept.
+        """Split training data: long ones once, short ones several times, each time with another part kept.
 
-        There is none where the parts to judge on would be too short for that.
+        A part is a whole recording where there are some as long, as on another day sensors have other zeros. There is
+        none where the parts to judge on would be too short for that.
         """
-        data = source.training
-        place, length = torch.arange(len(data)), round(KEPT * len(data))
-        ends = [len(data) - k * length for k in range(FOLDS if len(data) < SHORT else 1)]
-        errors = sensor_errors(data)
-        found = [cls._of(source, (place < end - length) | (place >= end), errors) for end in ends]
+        data, n = source.training, len(source.training)
+        place, length, errors = torch.arange(n), round(KEPT * n), sensor_errors(data)
+        cuts = [0, *(data.segment.diff().nonzero().flatten() + 1).tolist(), n]
+        parts = [(first, end) for first, end in pairwise(cuts) if length <= end - first <= n / 2][::-1]
+        if len(parts) < 2:
+            parts = [(n - k * length, n - (k - 1) * length) for k in range(1, FOLDS + 1)]
+        kept = parts[: FOLDS if n < SHORT else 1]
+        found = [cls._of(source, (place < first) | (place >= end), errors) for first, end in kept]
         return [each for each in found if each is not None]
 
     @classmethod
@@ -384,22 +394,28 @@ class _Search:
     folds: list[HoldOut]
     tried: list[Candidate] = field(default_factory=list)
     began: float = field(default_factory=time.process_time)
-    lag_seconds: float = 0.0
     variations: set[tuple[Candidate, str]] = field(default_factory=set)
 
     @property
     def best(self) -> Candidate:
         return min(self.tried, key=lambda each: round(each.score, 3))  # of two alike, the first
 
-    @property
+    @cached_property
     def until(self) -> float:
-        """CPU time at which the last fit has to begin [s]."""
+        """CPU time at which the last fit has to begin [s], or other candidates."""
         return self.began + (1 - LAST_SHARE) * self.refinement.seconds
 
     @property
     def expired(self) -> bool:
         """Whether it is as late as that."""
         return time.process_time() > self.until
+
+    @contextmanager
+    def _within(self, share: float) -> Iterator[None]:
+        """Try candidates for a share of the time at most."""
+        last, self.until = self.until, min(self.until, time.process_time() + share * self.refinement.seconds)
+        yield
+        self.until = last
 
     @contextmanager
     def _time_limit(self, until: float) -> Iterator[list[Event]]:
@@ -457,46 +473,56 @@ class _Search:
             self._linear(*structure)
         linear = sorted((each for each in self.tried if each.structure is not None), key=lambda each: each.score)
         if linear:
-            of = linear[0]
-            source = of.source.with_linear_inputs()
-            what, models = f"{of.what}{LINEAR}", [_warm_started(model) for model in of.models]
-            tried = self._fit(what, models, source, self._settings(select=False), of.structure)
-            linear[0] = _better(of, tried)
-            if self.best.score > 0 and (lagging := self._with_lag_states(linear[0])) is not linear[0]:
-                self._select(lagging)
+            linear[0] = self._varied(linear[0])
         firsts = dict[tuple[str, ...], Candidate]()  # of each set of states the best one
         for each in linear:
             firsts.setdefault(each.states, each)
-        near = {states: each for states, each in firsts.items() if each.score < linear[0].score + HOPELESS}
-        for each in sorted(near.values(), key=lambda each: len(each.states)):  # what costs little first
+        with self._within(SHARE):
+            lagging = [self._with_lag_states(each) for each in firsts.values() if self.best.score > 0]
+        hopeless = linear[0].score + HOPELESS if linear else math.inf
+        for each in sorted((each for each in lagging if each not in linear), key=lambda each: each.score):
+            if each.score < hopeless:
+                self._select(each)
+        near = [each for each in firsts.values() if each.score < hopeless]
+        for each in sorted(near, key=lambda each: len(each.states)):  # what costs little first
+            if self._has_needless_states(each):
+                break
             self._select(each)
-            if self.builder is not None:
-                for model, source in structures:
-                    if each.structure is model:
-                        self._regressed(model, source)
-                self._try_larger_libraries([each])
-        if early := bool(linear) and self.best.score > FAR_BEHIND:  # no function explains it
-            until = time.process_time() + HIDDEN_SHARE * self.refinement.seconds
+            for model, source in structures if self.builder is not None else ():
+                if each.structure is model:
+                    self._regressed(model, source)
+            self._try_larger_libraries([each])
+        plain = [each for each in self.tried if not each.model.followed]
+        if plain and self.best not in plain:
+            simple = min(plain, key=lambda each: each.score)
+            self.tried = self.tried if self._clearly_better(self.best, simple) else plain
+        if early := bool(self.tried) and self.best.score > HOPELESS:  # no function explains it
             attempt = self._try_chains if self.given.given_known else self._try_state_space
-            self._try_hidden_states(self._try_disturbances, attempt, until=min(self.until, until))
-        has_new_state = False
-        if self.builder is not None and self.tried:
-            self._try_larger_libraries(self._near())
-            before = self.best
-            has_new_state = self._with_lag_states(before) is not before
-        self._windows_of_leaders(self._near())
-        if has_new_state:
-            before = self.best
-            self._try_larger_libraries(self._near())
-            if self.best is not before:
-                self._windows(self.best)
+            self._try_hidden_states(self._try_disturbances, attempt)
+        self._try_larger_libraries(self._near())
+        with self._within(SHARE):
+            if self.builder is not None and self.tried:
+                self._with_lag_states(self.best)
+            self._windows_of_leaders(self._near())
+        self._try_larger_libraries(self._near())
         every = self._try_disturbances, self._try_chains, self._try_state_space
-        self._try_hidden_states(*([self._try_chains] if early else every), until=self.until)
+        self._try_hidden_states(*([self._try_chains] if early else every))
         found = list[Candidate]()
         while self.tried and self.best not in found:  # until nothing gets better
             found.append(self.best)
             self._try_larger_libraries(found[-1:])
             self._windows(self.best)
+
+    def _varied(self, of: Candidate) -> Candidate:
+        """Try inputs that are linear between samples, and equations without constants, and return what is best."""
+        models, source = [_warm_started(model) for model in of.models], of.source.with_linear_inputs()
+        moving = self._fit(f"{of.what}{LINEAR}", models, source, self._settings(select=False), of.structure)
+        of, early, segment = _better(of, moving), self.folds[0].early, of.source.training.segment
+        if of.structure is None or bool(torch.isin(segment[early], segment[~early]).any()):
+            return of  # what sensors read at zero differs between recordings alone
+        structure, *models = (_with_functions(each, lambda f: bool(f.factors)) for each in (of.structure, *of.models))
+        models = [_warm_started(model) for model in models]
+        return _better(of, self._fit(f"{of.what}, no constants", models, of.source, of.settings, structure))
 
     def _windows_of_leaders(self, candidates: Sequence[Candidate]) -> None:
         """Simulate the best of some candidates over longer windows, of two with the same equations the better one."""
@@ -512,9 +538,14 @@ class _Search:
         gains = torch.tensor([fold.score(theirs) - fold.score(mine) for fold, theirs, mine in errors])
         return len(gains) < 2 or bool(gains.mean() > CLEAR * gains.std() / len(gains) ** 0.5)
 
+    def _has_needless_states(self, each: Candidate) -> bool:
+        """Tell whether it has more states than the best one, which no simple model beats."""
+        return self.best.score <= 0 and len(each.states) > len(self.best.states)
+
     def _near(self) -> list[Candidate]:
         """Return candidates that are not hopelessly behind the best one."""
-        return [each for each in self.tried if each.score < self.best.score + HOPELESS]
+        near = [each for each in self.tried if each.score < self.best.score + HOPELESS]
+        return [each for each in near if not self._has_needless_states(each)]
 
     def _fit(
         self,
@@ -537,10 +568,10 @@ class _Search:
                 most = self.refinement.seconds * LARGEST_SHARE / len(self.folds)
                 with self._time_limit(min(self.until, time.process_time() + most)):
                     report = fitted[-1].fit(source.training.select(fold.fit_rows(settings.window)))
-                sought = model.constraints.free.any(0)
-                moves = (fitted[-1].coefficients[:, sought] != 0).any(0)
-                if not bool(moves.all()) or not has_clear_lags(fitted[-1]) or self._drifts(fitted[-1]):
-                    return None  # what moves by nothing is no equation, what moves nothing or only drifts no state
+                still = model.constraints.free.any(0) & ~(fitted[-1].coefficients != 0).any(0)
+                unseen = source.training.x_next.isnan().all(0)
+                if bool((still & unseen).any()) or not has_clear_lags(fitted[-1]) or self._drifts(fitted[-1]):
+                    return None  # a hidden state that nothing moves, that moves nothing, or that only drifts, is none
                 if any(each.code == "fit.dropped" for each in report.findings):
                     return None  # of functions that a fit finds useless a regression tells little
                 if fitted[-1].substeps(source.training.dt) >= STIFF:
@@ -587,7 +618,8 @@ class _Search:
         """Try the fit of single steps, which finds exact equations in data without noise; first with measured rates."""
         fold = self.folds[0]
         for model, source in structures:
-            if bool(source.training.x_next.isnan().any()) or len(model.library) > 2 * MANY:
+            samples = torch.cat([source.training.x, source.training.x_next])
+            if bool(samples.isnan().any()) or len(model.library) > 2 * MANY:
                 continue  # the cost grows with the cube of the functions
             trial = copy.deepcopy(model)
             trial.refinement = replace(self.refinement, method="integral")
@@ -604,19 +636,18 @@ class _Search:
         if self.builder is None or self.given.given_known == {}:
             yield self.given, self.source
             return
-        signature, known = self.given.signature, rates_of(self.given)
-        names = signature.state_names
-        measured = {names[i]: names[rate] for rate, i in find_rates(self.source.training).items()}
-        rates = known | measured
-        units = dict(zip(names, signature.state_units, strict=True))
-        lacking = [n for n in names if not is_speed(units[n]) and n not in rates and n not in rates.values()]
-        moving = [n for n in lacking if PLACE.fullmatch(units[n])]  # beside it a current, say, may have no rate
-        for added in filter(None, (lacking, moving if len(moving) < len(lacking) else ())):
-            wide = {n: rates.get(n, rate_name(n, signature)) for n in names if n in rates or n in added}
-            source = self.source.with_rates(wide)
+        names, known, every = self.given.signature.state_names, rates_of(self.given), list[dict[str, str]]()
+        units = dict(zip(names, self.given.signature.state_units, strict=True))
+        for part in (ALIKE, SIMILAR):
+            rates = known | {names[i]: names[rate] for rate, i in find_rates(self.source.training, part).items()}
+            lacking = [n for n in names if not is_speed(units[n]) and n not in rates and n not in rates.values()]
+            moving = [n for n in lacking if PLACE.fullmatch(units[n])]  # beside it a current, say, may have no rate
+            for added in (lacking, moving, ()):
+                wide = {n: rates.get(n, rate_name(n, self.given.signature)) for n in names if n in (*rates, *added)}
+                every += [wide] if wide not in (known, *every) else []
+        for wide in every:
+            source = self.source if set(wide.values()) <= set(names) else self.source.with_rates(wide)
             yield self._rebuilt(source, wide), source
-        if len(rates) > len(known):
-            yield self._rebuilt(self.source, rates), self.source
         yield self.given, self.source
 
     def _rebuilt(self, source: Source, known: Mapping[str, str]) -> SindyModel:
@@ -632,16 +663,17 @@ class _Search:
 
     @_attempt()
     def _linear(self, model: SindyModel, source: Source) -> None:
-        """Fit the linear functions of a model."""
-        plain = _with_functions(model, _is_linear)
-        delay = 0.5 * source.training.dt if self._settings().longest_delay else 0.0
-        begun = [_linear_start(plain, source.training.select(fold.fit_rows()), delay) for fold in self.folds]
-        names, settings = ", ".join(source.signature.state_names), self._settings(select=False)
-        self._fit(f"linear equations of {names}", begun, source, settings, model)
+        """Fit the linear functions of a model, from no delay on and from that which regressions tell, if it is long."""
+        plain, settings = _with_functions(model, _is_linear), self._settings(select=False)
+        parts, dt = [source.training.select(fold.fit_rows()) for fold in self.folds], source.training.dt
+        late = _rough_delay(plain, parts[0], settings.longest_delay or 0.0)
+        for delay in (0.5 * dt, late) if late > dt else (late,):
+            begun = [_linear_start(plain, part, delay) for part in parts]
+            self._fit(f"linear equations of {', '.join(source.signature.state_names)}", begun, source, settings, model)
 
     def _with_lag_states(self, of: Candidate) -> Candidate:
         """Try states that no sensor sees and that follow a signal, one after the other, and return the best one."""
-        best, began = of, time.process_time() - self.lag_seconds
+        best = of
         for _ in range(of.source.signature.n_u):
             if self.expired:
                 break
@@ -651,30 +683,27 @@ class _Search:
                 early = best.source.training.select(self.folds[0].early)
                 trials = lag_state_candidates(best.model, early, beside=of.structure is None)
                 for lagging in trials[:LAG_STATES]:
-                    if time.process_time() - began > SHARE * self.refinement.seconds:
-                        return best
                     signals = ", ".join(s for n, s in lagging.followed.items() if n not in last.model.followed)
                     what, models = f"{last.what}, states that follow {signals}", [lagging] * len(self.folds)
                     data = last.source.with_unmeasured(lagging.signature)
                     found = self._fit(what, models, data, self._settings(select=False), of.structure)
-                    best, self.lag_seconds = _better(best, found), time.process_time() - began
+                    best = _better(best, found)
             if best is last:
                 break
         return best
 
-    def _try_hidden_states(self, *attempts: Callable[[float], None], until: float) -> None:
-        """Try hidden states where a simple model predicts better, up to a CPU time [s]; drop them if it is chance."""
+    def _try_hidden_states(self, *attempts: Callable[[], None]) -> None:
+        """Try hidden states where a simple model predicts better, and drop them if it is chance."""
         if self.builder is None or self.given.given_known == {} or not self.tried or self.best.score <= 0:
             return
         known, before = len(self.tried), self.best
-        for attempt in attempts:
-            attempt(until)
+        with self._within(SHARE):
+            for attempt in attempts:
+                attempt()
         if any(each in self.tried[known:] for each in self._near()):
             # Functions first, as longer windows cost more.
             self._try_larger_libraries([min(self.tried[known:], key=lambda each: each.score)])
             self._windows_of_leaders([each for each in self._near() if each in self.tried[known:]])
-            if until == self.until:  # else lag states come before
-                self._try_larger_libraries(self._near())
         if self.best is before or not self._clearly_better(self.best, before):
             del self.tried[known:]
 
@@ -697,18 +726,18 @@ class _Search:
         return any(seconds > self.slow for seconds in self._disturbances(model).values())
 
     @_attempt()
-    def _try_disturbances(self, until: float) -> None:
+    def _try_disturbances(self) -> None:
         """Try hidden states that add to inputs, one after the other."""
         for signal in self.source.signature.input_names:
             of = self.best
-            if time.process_time() > until or not all(signal in _variables_read(model) for model in of.models):
+            if not all(signal in _variables_read(model) for model in of.models):
                 continue
             models = [with_disturbance(model, signal, self.slow / 2) for model in of.models]
             wide = of.source.with_unmeasured(models[0].signature)
             self._fit(f"{of.what}, {signal} disturbed", models, wide, self._settings(select=False))
 
     @_attempt()
-    def _try_chains(self, until: float) -> None:
+    def _try_chains(self) -> None:
         """Try hidden states behind each state that a simple model predicts better; the other equations stay."""
         of, signature = self.best, self.source.signature
         linear = of.structure is not None and not self.given.given_known
@@ -723,31 +752,31 @@ class _Search:
             if behind[state] > 0:
                 parts = zip(of.models, early, strict=True)
                 chains = (chain_candidates(*each, state, signature.state_names) for each in parts)
-                self._ever_more_states(f"{of.what}, {state} with", chains, measured, until)
+                self._ever_more_states(f"{of.what}, {state} with", chains, measured)
 
     @_attempt()
-    def _try_state_space(self, until: float) -> None:
+    def _try_state_space(self) -> None:
         """Try linear equations of all states with hidden ones, first under inputs that move as in the best model."""
         holds = [(self.source, ""), (self.source.with_linear_inputs(), LINEAR)]
         for source, moving in holds if self.best.source.training.u_end is None else holds[::-1]:
             if self.best.score > 0 and not self.given.given_known:  # it would have equations of its own
                 parts = [source.training.select(fold.fit_rows()) for fold in self.folds]
                 begun = (state_space_candidates(self.given, part) for part in parts)
-                self._ever_more_states(f"linear equations{moving}, with", begun, source, until)
+                self._ever_more_states(f"linear equations{moving}, with", begun, source)
 
-    def _ever_more_states(
-        self, what: str, candidates: Iterable[Iterator[list[SindyModel]]], source: Source, until: float
-    ) -> None:
+    def _ever_more_states(self, what: str, candidates: Iterable[Iterator[list[SindyModel]]], source: Source) -> None:
         """Try models of ever more hidden states, for each part that is kept, until they do not get better."""
-        best, worse = math.inf, 0
+        best, worse, seconds = math.inf, 0, 0.0
         for count, begun in enumerate(zip(*candidates, strict=True), 1):
-            if time.process_time() > until or self._exact() or worse > WORSE:
+            before = time.process_time()
+            if before + seconds > self.until or self._exact() or worse > WORSE:  # more of them cost no less
                 break
             if models := self._best_starts(begun, source):
-                wide = source.with_unmeasured(models[0].signature)
-                found = self._fit(f"{what} {count} hidden states", models, wide, self._settings(select=False))
+                wide, states = source.with_unmeasured(models[0].signature), "state" if count == 1 else "states"
+                found = self._fit(f"{what} {count} hidden {states}", models, wide, self._settings(select=False))
                 worse = 0 if found is not None and found.score < best else worse + 1
                 best = min(best, found.score if found is not None else math.inf)
+                seconds = time.process_time() - before
 
     def _best_starts(self, begun: Sequence[Sequence[SindyModel]], source: Source) -> list[SindyModel]:
         """Return of models, for each part that is kept, those that predict best before a fit; none of none."""
@@ -840,9 +869,9 @@ class _Search:
 
     @_attempt()
     def _try_larger_libraries(self, candidates: Iterable[Candidate]) -> None:
-        """Try more functions, those of the best states first."""
+        """Try more functions, those of the best states first, where nobody said which there are."""
         sets = dict.fromkeys(each.states for each in sorted(candidates, key=lambda each: each.score))
-        for states, what in product(sets, FUNCTION_SETS):
+        for states, what in product(sets, FUNCTION_SETS if self.builder is not None else ()):
             of = min((each for each in self.tried if each.states == states), key=lambda each: each.score)
             if (of, what) in self.variations:
                 continue
@@ -1007,6 +1036,17 @@ def _with_functions(model: SindyModel, wanted: Callable[[Feature], bool]) -> Sin
     """Return a model with those functions alone that are wanted."""
     places = [k for k, each in enumerate(model.library.features) if wanted(each)]
     return _with_library(model, model.library.subset(places), model.constraints.free[places])
+
+
+def _rough_delay(model: SindyModel, data: Transitions, longest: float) -> float:
+    """Return the delay of the inputs, between half a sample and a longest one, that regressions tell [s]."""
+    steps = math.floor(math.log(max(longest / data.dt, 0.5) / 0.5, FINER))
+
+    def _cost(delay: float) -> float:
+        theta, dx = _mean_rates(model, delay_and_trim(data, delay))
+        return unexplained(model.constraints.free, theta, dx) / len(dx)
+
+    return min((0.5 * data.dt * FINER**k for k in range(steps + 1)), key=_cost) if longest else 0.0
 
 
 def _linear_start(model: SindyModel, data: Transitions, delay: float) -> SindyModel:

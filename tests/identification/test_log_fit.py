@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -158,6 +159,25 @@ def test_an_input_that_acts_late_and_through_a_lag_is_found():
     assert rates == pytest.approx([1.0, 2.0], rel=0.1), "which of both is the lag no output tells"
 
 
+@pytest.mark.usefixtures("one_fold")
+def test_a_motor_that_acts_late_in_closed_loop_is_found():
+    """r' = -7 a - r + 100 m of an angle a and its rate r, m' = (u - m) / 0.055 s, two samples late, kept at targets."""
+    rng, dt, x, late, rows = np.random.default_rng(1), 0.01, np.zeros(3), [0.0] * 3, []
+    targets, added = rng.uniform(-0.4, 0.4, 12).repeat(200), rng.choice([-0.1, 0.1], 480).repeat(5)
+    for target, more in zip(targets, added, strict=True):
+        y = x[:2] + rng.normal(0, [0.001, 0.006])
+        rows.append((*y, 0.35 * (target - y[0]) - 0.09 * y[1] + more))
+        late = [*late, rows[-1][2]][-3:]
+        for _ in range(4):
+            x = x + dt / 4 * np.array([x[1], -7 * x[0] - x[1] + 100 * x[2], (late[0] - x[2]) / 0.055])
+    data = np.array(rows)
+    model = fitted(source_of(data[:, :2], data[:-1, 2], dt, ("a", "r"), ("rad", "rad/s")), seconds=8).model
+    assert model.followed == {"u_lagging": "u"} and model.delay == pytest.approx(2 * dt, abs=dt / 4)
+    assert coefficient(model, "u_lagging", "(u - u_lagging)") == pytest.approx(1 / 0.055, rel=0.05)
+    names = {"a": -7.0, "r": -1.0, "u_lagging": 100.0}
+    assert {name: coefficient(model, "r", name) for name in names} == pytest.approx(names, rel=0.05)
+
+
 def noisy_tank(rows=600, pushes=0.01):
     u, y, rng = steps(0, rows // 10, 10), [0.0], np.random.default_rng(0)
     for held in u:
@@ -237,6 +257,13 @@ def test_candidates_are_judged_on_rows_that_none_was_fitted_to():
     assert int(torch.stack([~fold.early for fold in folds]).sum(0).max()) == 1, "each row is kept once at most"
     long = noisy_tank(8000)
     assert len(HoldOut.folds(long)) == 1
+    data = source.training
+    days = replace(source, training=replace(data, segment=(torch.arange(len(data)) >= 500).long()))
+    kept = [(~fold.early).nonzero().flatten() for fold in HoldOut.folds(days)]
+    assert [(int(rows[0]), len(rows)) for rows in kept] == [(900, 300), (600, 300), (300, 300)]
+    days = replace(source, training=replace(data, segment=(torch.arange(len(data)) // 400).long()))
+    kept = [(~fold.early).nonzero().flatten() for fold in HoldOut.folds(days)]
+    assert [(int(rows[0]), len(rows)) for rows in kept] == [(800, 400), (400, 400), (0, 400)]
 
 
 def test_a_balanced_pole_is_judged_no_farther_ahead_than_it_can_be_predicted():

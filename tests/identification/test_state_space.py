@@ -6,13 +6,11 @@ import torch
 from plants import scipy_motion
 from scipy.signal import cont2discrete, dlsim
 
-from dynasindy.identification.log_fit import SHORTEST
 from dynasindy.identification.state_space import (
     chain_candidates,
     state_space_candidates,
     with_disturbance,
 )
-from dynasindy.progress import listening
 from dynasindy.sindy import Refinement, SindyModel
 from dynasindy.sindy.reconstruction import disturbance_states
 from dynasindy.systems.base import Signature
@@ -153,7 +151,7 @@ def test_a_push_that_fades_is_found_by_default(one_fold):  # noqa: F811
 @pytest.mark.slow
 def test_the_far_end_of_a_soft_shaft_is_found_by_its_motor_alone(one_fold):  # noqa: F811
     u = steps(0, 150, 10)
-    found = fitted(source_of(measured(ANGLE, 0.0, u, "zoh"), u[:-1], DT, units=("rad",)), seconds=10.0)
+    found = fitted(source_of(measured(ANGLE, 0.0, u, "zoh"), u[:-1], DT, units=("rad",)), seconds=40.0)
     assert distance(poles(found.model), np.linalg.eigvals(SOFT_SHAFT)) < 0.03
     assert "fit.behind" not in {finding.code for finding in found.report.findings}
 
@@ -174,22 +172,6 @@ def test_dry_friction_of_a_motor_is_found_beside_the_hidden_far_end_of_its_shaft
         c for f, c in acceleration if c and [(a.function, *a.variables) for a in f.factors] == [("tanh", "hidden_1")]
     ]
     assert friction == pytest.approx(-4.0, rel=0.1)
-
-
-@pytest.mark.parametrize("known", [{}, {"y": "speed"}])
-def test_hidden_states_are_tried_before_longer_simulations_where_no_function_explains_a_log(one_fold, known):  # noqa: F811
-    u, given = steps(0, 60, 10), {"known": known} if known else {}
-
-    class Dear(BaseException):
-        """A candidate that takes long."""
-
-    def stop(event):
-        if "hidden" in event.phase or f"simulations of {SHORTEST}" in event.phase:
-            raise Dear(event.phase)
-
-    source = source_of(measured(ANGLE, 0.0, u, "zoh"), u[:-1], DT, units=("rad",))
-    with pytest.raises(Dear, match="hidden"), listening(stop):
-        fitted(source.with_rates(known), seconds=60.0, **given)
 
 
 def test_nothing_hidden_is_added_where_nothing_is_to_be_known(one_fold):  # noqa: F811
