@@ -65,7 +65,7 @@ def next_command(cfg: Any, found: Any) -> str:
     of_data = () if source.logged else ("data", "refinement", "source")  # what is said of simulated data
     plan = without(job.overrides.task, "folder", "hydra", "formats", *of_data)
     plan += [command_word(f"plant.{key}", values) for key, values in targets.items()]
-    plan += [f"model={Path(cfg.folder) / 'model.json'}"] if source.logged and not mend else []
+    plan += [command_word("model", str(Path(cfg.folder) / "model.json"))] if source.logged and not mend else []
     does = "plans a controller" if source.logged else "excites, identifies and plans in one go"
     does = "plans a controller for these targets, in the units of the states" if targets else does
     return command_line("train", plan, mend + does)

@@ -224,7 +224,7 @@ def plan_from_log(cfg: DictConfig, swept: bool) -> bool:
             say(f"Controller: {folder / NAME}, of which nothing is promised")
         if not isinstance(stop, KeyboardInterrupt):
             raise
-        again = command_line("train", [*without(words, "model"), f"model={folder / 'model.json'}"])
+        again = command_line("train", [*without(words, "model"), command_word("model", str(folder / "model.json"))])
         line = f"stopped; the equations are kept, plan on them without a new fit: {again}"
         raise Stopped(line, getattr(stop, "signal", 2)) from stop
     thin = thin_margin(controller, model) if prediction.controlled else ()

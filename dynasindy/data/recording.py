@@ -414,7 +414,8 @@ def _jumps(name: str, unit: str, x: Array, t: Array, u: Array, usable: NDArray[n
             after = float(t[rows[1 + (alike & (steps >= sizes[far[-1]])).argmax()]] - t[0])
             facts = {"times": int(far[-1]) + 1, "size": float(sizes[0]), "usual": float(sizes[far[-1] + 1])}
             turn = {name: {"name": name, "unit": "turn", "scale": float(f"{1 / np.ptp(x[rows]):.4g}")}}
-            return [weak("log.jumps", state=name, after=after, **facts, states={} if "/" in unit else turn)]
+            states = {} if "/" in unit or unit == "rpm" else turn
+            return [weak("log.jumps", state=name, after=after, **facts, states=states)]
     return []
 
 

@@ -287,14 +287,16 @@ def _variants(model: SindyModel, draws: int, seed: int) -> tuple[Tensor, str]:
     if known is None:
         uniform = 2 * torch.rand((draws, *xi.shape), generator=generator, dtype=xi.dtype) - 1
         return xi * (1 + DRAWN * uniform * model.constraints.free), WITHIN
-    shares, drawn = 100 * known.shares(xi), xi.repeat(draws, 1, 1)
-    how = f"from the covariance of the fit, with standard errors of {shares.min():.2g} to {shares.max():.2g} %"
+    # What no input moves, as a disturbance that fades, no controller has to stand and no training mends.
+    names = moved_by_inputs(model)
+    moved = torch.tensor([name in names for name in model.signature.state_names])
+    shares, drawn = 100 * known.shares(xi)[moved[known.states]], xi.repeat(draws, 1, 1)
+    how = "from the covariance of the fit"
+    if len(shares):
+        how += f", with standard errors of {shares.min():.2g} to {shares.max():.2g} %"
     normal = torch.randn(draws, known.factor.shape[1], generator=generator, dtype=torch.float64)
     drawn[:, known.features, known.states] += normal @ known.factor.mT
-    # How a disturbance fades is nothing that a controller has to stand, or that training mends.
-    moved = moved_by_inputs(model)
-    pushed = torch.tensor([name in moved for name in model.signature.state_names])
-    return torch.where(pushed, drawn, xi), how
+    return torch.where(moved, drawn, xi), how
 
 
 def _spread(

@@ -55,11 +55,10 @@ from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.named_libraries import PLACE, LibraryBuilder, auto, auto_rig, is_speed, polynomial
 from dynasindy.sindy.reconstruction import (
-    ALIKE,
-    SIMILAR,
     RegressionData,
     disturbance_states,
     find_rates,
+    has_gaps,
     rate_states,
     reconstruct,
 )
@@ -71,7 +70,7 @@ from dynasindy.systems.base import TURNS
 from dynasindy.systems.transitions import Transitions
 
 KEPT = 0.25
-"""Part of the training data that candidates are judged on at a time."""
+"""Part of the training data that candidates are judged on at a time; up to half of it are whole recordings."""
 MOST = 200
 """Samples before a start on which its states may be estimated, at most."""
 NOISES = 0.01, 0.03, 0.1, 0.3
@@ -103,22 +102,25 @@ BEHIND_BY = 1.03
 PRICES, SURE = (1.0, 2.0), 0.1
 """Factors on what a function must be worth; standard error below which it is worth any of them [coefficients]."""
 HOPELESS = 1.0
-"""Score behind the best one beyond which nothing dearer is tried of a candidate, and a fit to all data is not taken."""
+"""Score behind the best one, or without one behind the best simple model, beyond which nothing dearer is tried of a
+candidate, and a fit to all data is not taken."""
 LEADERS = 3
 """Models that longer simulations are fitted by, those first that predict best."""
 MANY = 100
 """Functions up to which regressions choose among all of them, and beyond which those of one factor come first."""
-SHARE, LARGEST_SHARE, LAST_SHARE = 0.25, 0.3, 0.15
-"""Part of the time that states that follow a signal may take, longer simulations, and hidden states, any one
-candidate, and the last fit."""
+STAGE_SHARE, LARGEST_SHARE, LAST_SHARE = 0.25, 0.3, 0.15
+"""Part of the time that lag states, longer simulations or hidden states may take each, any one candidate, and the last
+fit."""
 FIRST_SHARE = 1 / 30
 """Part of the time that may have passed after the first candidate on one part, or no others are kept to judge on."""
 CUBIC = 6
 """States and inputs up to which cubic functions are tried."""
 ANGLES = frozenset({"rad", *TURNS})
 """Units of what has no root."""
-LATEST, FINER = 30, 1.25
+LATEST, DELAY_RATIO = 30, 1.25
 """Samples within which a delay is looked for, at least, and ratio of those that regressions try."""
+RATE_ERRORS = 0.01, 0.1
+"""Part of the movement of a state that the integral of its rate may leave over, and of a rate that is filtered."""
 EXACT = 1e-5
 """Error that is as good as none, however fine a sensor is [ranges of the state]."""
 CLEAR = 2.0
@@ -231,8 +233,8 @@ class HoldOut:
     def folds(cls, source: Source) -> list[HoldOut]:
         """Split training data: long ones once, short ones several times, each time with another part kept.
 
-        A part is a whole recording where there are some as long, as on another day sensors have other zeros. There is
-        none where the parts to judge on would be too short for that.
+        A part is a recording without gaps, where two or more hold a quarter to half of the data each, as on another day
+        sensors have other zeros. There is none where the parts to judge on would be too short for that.
         """
         data, n = source.training, len(source.training)
         place, length, errors = torch.arange(n), round(KEPT * n), sensor_errors(data)
@@ -402,7 +404,7 @@ class _Search:
 
     @cached_property
     def until(self) -> float:
-        """CPU time at which the last fit has to begin [s], or other candidates."""
+        """CPU time after which no other candidate begins [s]."""
         return self.began + (1 - LAST_SHARE) * self.refinement.seconds
 
     @property
@@ -414,8 +416,10 @@ class _Search:
     def _within(self, share: float) -> Iterator[None]:
         """Try candidates for a share of the time at most."""
         last, self.until = self.until, min(self.until, time.process_time() + share * self.refinement.seconds)
-        yield
-        self.until = last
+        try:
+            yield
+        finally:
+            self.until = last
 
     @contextmanager
     def _time_limit(self, until: float) -> Iterator[list[Event]]:
@@ -477,13 +481,15 @@ class _Search:
         firsts = dict[tuple[str, ...], Candidate]()  # of each set of states the best one
         for each in linear:
             firsts.setdefault(each.states, each)
-        with self._within(SHARE):
-            lagging = [self._with_lag_states(each) for each in firsts.values() if self.best.score > 0]
-        hopeless = linear[0].score + HOPELESS if linear else math.inf
-        for each in sorted((each for each in lagging if each not in linear), key=lambda each: each.score):
-            if each.score < hopeless:
+        limit, lagging = linear[0].score + HOPELESS if linear else math.inf, list[Candidate]()
+        with self._within(STAGE_SHARE):
+            for each in firsts.values():
+                if self.best.score > 0 and (found := self._with_lag_states(each)) is not each:
+                    lagging.append(found)
+        for each in sorted(lagging, key=lambda each: each.score):
+            if each.score < limit:
                 self._select(each)
-        near = [each for each in firsts.values() if each.score < hopeless]
+        near = [each for each in firsts.values() if each.score < limit]
         for each in sorted(near, key=lambda each: len(each.states)):  # what costs little first
             if self._has_needless_states(each):
                 break
@@ -494,23 +500,24 @@ class _Search:
             self._try_larger_libraries([each])
         plain = [each for each in self.tried if not each.model.followed]
         if plain and self.best not in plain:
-            simple = min(plain, key=lambda each: each.score)
-            self.tried = self.tried if self._clearly_better(self.best, simple) else plain
+            simple = min(plain, key=lambda each: round(each.score, 3))
+            if not self._clearly_better(self.best, simple):  # by chance
+                self.tried = plain
         if early := bool(self.tried) and self.best.score > HOPELESS:  # no function explains it
             attempt = self._try_chains if self.given.given_known else self._try_state_space
             self._try_hidden_states(self._try_disturbances, attempt)
         self._try_larger_libraries(self._near())
-        with self._within(SHARE):
+        with self._within(STAGE_SHARE):
             if self.builder is not None and self.tried:
                 self._with_lag_states(self.best)
             self._windows_of_leaders(self._near())
         self._try_larger_libraries(self._near())
         every = self._try_disturbances, self._try_chains, self._try_state_space
         self._try_hidden_states(*([self._try_chains] if early else every))
-        found = list[Candidate]()
-        while self.tried and self.best not in found:  # until nothing gets better
-            found.append(self.best)
-            self._try_larger_libraries(found[-1:])
+        seen = list[Candidate]()
+        while self.tried and self.best not in seen:  # until nothing gets better
+            seen.append(self.best)
+            self._try_larger_libraries(seen[-1:])
             self._windows(self.best)
 
     def _varied(self, of: Candidate) -> Candidate:
@@ -520,7 +527,10 @@ class _Search:
         of, early, segment = _better(of, moving), self.folds[0].early, of.source.training.segment
         if of.structure is None or bool(torch.isin(segment[early], segment[~early]).any()):
             return of  # what sensors read at zero differs between recordings alone
-        structure, *models = (_with_functions(each, lambda f: bool(f.factors)) for each in (of.structure, *of.models))
+        models, structure = [_without_constants(model) for model in of.models], _without_constants(of.structure)
+        free = models[0].constraints.free
+        if not bool(free.any()) or torch.equal(free, of.model.constraints.free):
+            return of
         models = [_warm_started(model) for model in models]
         return _better(of, self._fit(f"{of.what}, no constants", models, of.source, of.settings, structure))
 
@@ -618,8 +628,7 @@ class _Search:
         """Try the fit of single steps, which finds exact equations in data without noise; first with measured rates."""
         fold = self.folds[0]
         for model, source in structures:
-            samples = torch.cat([source.training.x, source.training.x_next])
-            if bool(samples.isnan().any()) or len(model.library) > 2 * MANY:
+            if has_gaps(source.training) or len(model.library) > 2 * MANY:
                 continue  # the cost grows with the cube of the functions
             trial = copy.deepcopy(model)
             trial.refinement = replace(self.refinement, method="integral")
@@ -632,14 +641,14 @@ class _Search:
                         return
 
     def _structures(self) -> Iterator[tuple[SindyModel, Source]]:
-        """Yield the model with rates of all states, of angles and ways, of what was measured as such, and as it is."""
+        """Yield the model with rates of all states, of positions, of what was measured as such, and as it is."""
         if self.builder is None or self.given.given_known == {}:
             yield self.given, self.source
             return
         names, known, every = self.given.signature.state_names, rates_of(self.given), list[dict[str, str]]()
         units = dict(zip(names, self.given.signature.state_units, strict=True))
-        for part in (ALIKE, SIMILAR):
-            rates = known | {names[i]: names[rate] for rate, i in find_rates(self.source.training, part).items()}
+        for part in RATE_ERRORS:
+            rates = {names[i]: names[rate] for rate, i in find_rates(self.source.training, part).items()} | known
             lacking = [n for n in names if not is_speed(units[n]) and n not in rates and n not in rates.values()]
             moving = [n for n in lacking if PLACE.fullmatch(units[n])]  # beside it a current, say, may have no rate
             for added in (lacking, moving, ()):
@@ -666,10 +675,10 @@ class _Search:
         """Fit the linear functions of a model, from no delay on and from that which regressions tell, if it is long."""
         plain, settings = _with_functions(model, _is_linear), self._settings(select=False)
         parts, dt = [source.training.select(fold.fit_rows()) for fold in self.folds], source.training.dt
-        late = _rough_delay(plain, parts[0], settings.longest_delay or 0.0)
-        for delay in (0.5 * dt, late) if late > dt else (late,):
+        told, names = _rough_delay(plain, parts[0], settings.longest_delay or 0.0), source.signature.state_names
+        for delay, late in ((0.5 * dt, ""), (told, ", late")) if told > dt else ((told, ""),):
             begun = [_linear_start(plain, part, delay) for part in parts]
-            self._fit(f"linear equations of {', '.join(source.signature.state_names)}", begun, source, settings, model)
+            self._fit(f"linear equations of {', '.join(names)}{late}", begun, source, settings, model)
 
     def _with_lag_states(self, of: Candidate) -> Candidate:
         """Try states that no sensor sees and that follow a signal, one after the other, and return the best one."""
@@ -697,7 +706,7 @@ class _Search:
         if self.builder is None or self.given.given_known == {} or not self.tried or self.best.score <= 0:
             return
         known, before = len(self.tried), self.best
-        with self._within(SHARE):
+        with self._within(STAGE_SHARE):
             for attempt in attempts:
                 attempt()
         if any(each in self.tried[known:] for each in self._near()):
@@ -869,7 +878,7 @@ class _Search:
 
     @_attempt()
     def _try_larger_libraries(self, candidates: Iterable[Candidate]) -> None:
-        """Try more functions, those of the best states first, where nobody said which there are."""
+        """Try more functions, those of the best states first, where the library was left to the data."""
         sets = dict.fromkeys(each.states for each in sorted(candidates, key=lambda each: each.score))
         for states, what in product(sets, FUNCTION_SETS if self.builder is not None else ()):
             of = min((each for each in self.tried if each.states == states), key=lambda each: each.score)
@@ -916,7 +925,7 @@ class _Search:
     @_attempt()
     def _windows(self, of: Candidate) -> None:
         """Simulate over windows that grow, each fit begun where the one before ended."""
-        if (of, "windows") in self.variations:
+        if self.expired or (of, "windows") in self.variations:
             return
         self.variations.add((of, "windows"))
         last, best, worse = of, of, 0
@@ -1038,15 +1047,21 @@ def _with_functions(model: SindyModel, wanted: Callable[[Feature], bool]) -> Sin
     return _with_library(model, model.library.subset(places), model.constraints.free[places])
 
 
+def _without_constants(model: SindyModel) -> SindyModel:
+    """Return a model without constants but those that are known."""
+    varies = torch.tensor([[bool(feature.factors)] for feature in model.library.features])
+    return _with_library(model, model.library, model.constraints.free & varies)
+
+
 def _rough_delay(model: SindyModel, data: Transitions, longest: float) -> float:
     """Return the delay of the inputs, between half a sample and a longest one, that regressions tell [s]."""
-    steps = math.floor(math.log(max(longest / data.dt, 0.5) / 0.5, FINER))
+    steps = math.floor(math.log(max(longest / data.dt, 0.5) / 0.5, DELAY_RATIO))
 
     def _cost(delay: float) -> float:
         theta, dx = _mean_rates(model, delay_and_trim(data, delay))
         return unexplained(model.constraints.free, theta, dx) / len(dx)
 
-    return min((0.5 * data.dt * FINER**k for k in range(steps + 1)), key=_cost) if longest else 0.0
+    return min((0.5 * data.dt * DELAY_RATIO**k for k in range(steps + 1)), key=_cost) if longest else 0.0
 
 
 def _linear_start(model: SindyModel, data: Transitions, delay: float) -> SindyModel:

@@ -16,7 +16,7 @@ from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import turn_of
 from dynasindy.systems.equilibria import PERIOD, find_equilibria
 
-ACCELERATION = re.compile(r"accel|/s(\^?2|²)", re.IGNORECASE)
+ACCELERATION = re.compile(r"accel(?!erator)|/s(\^?2|²)", re.IGNORECASE)
 """Name or unit of what cannot be held but at rest."""
 INNER = 0.1
 """Part of the samples beyond either end of the targets: the plant was at all of them, for some time."""

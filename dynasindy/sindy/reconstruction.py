@@ -227,16 +227,14 @@ def has_gaps(data: Transitions) -> bool:
     return bool(data.x.isnan().any() | data.x_next.isnan().any())
 
 
-ALIKE, SIMILAR = 0.01, 0.1
-"""Part of the movement of a state that another one may leave over which is its rate, and which may be, filtered."""
 WINDOW = 10
 """Samples over which the rate of another state is told by its integral, which noise leaves as it is."""
 
 
-def find_rates(data: Transitions, part: float = ALIKE) -> dict[int, int]:
+def find_rates(data: Transitions, part: float) -> dict[int, int]:
     """Return which measured state is the rate of which other one, `{rate: state}`.
 
-    Its integral by the trapezoidal rule is what the other one moves by, but for a `part`.
+    Its integral by the trapezoidal rule is what the other one moves by, all but a `part` of that.
     """
     data = reconstruct(data, {})
     rows = torch.arange(len(data) - WINDOW + 1)
@@ -245,5 +243,7 @@ def find_rates(data: Transitions, part: float = ALIKE) -> dict[int, int]:
     moved = data.x_next[last] - data.x[rows]
     sums = torch.cat([torch.zeros_like(data.x[:1]), (0.5 * data.dt * (data.x + data.x_next)).cumsum(0)])
     left = (moved.unsqueeze(-1) - (sums[last + 1] - sums[rows]).unsqueeze(-2)).square().sum(0)  # (state, rate)
-    alike = left < part * moved.square().sum(0).unsqueeze(-1)
-    return {rate: state for state, rate in alike.nonzero().tolist() if state != rate}
+    left = left.fill_diagonal_(math.inf).nan_to_num(math.inf)
+    least, rates = left.min(1)
+    alike = least < part * moved.square().sum(0)
+    return {int(rates[i]): i for i in alike.nonzero().flatten().tolist()}

@@ -159,6 +159,7 @@ def test_an_input_that_acts_late_and_through_a_lag_is_found():
     assert rates == pytest.approx([1.0, 2.0], rel=0.1), "which of both is the lag no output tells"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("one_fold")
 def test_a_motor_that_acts_late_in_closed_loop_is_found():
     """r' = -7 a - r + 100 m of an angle a and its rate r, m' = (u - m) / 0.055 s, two samples late, kept at targets."""
@@ -171,11 +172,29 @@ def test_a_motor_that_acts_late_in_closed_loop_is_found():
         for _ in range(4):
             x = x + dt / 4 * np.array([x[1], -7 * x[0] - x[1] + 100 * x[2], (late[0] - x[2]) / 0.055])
     data = np.array(rows)
-    model = fitted(source_of(data[:, :2], data[:-1, 2], dt, ("a", "r"), ("rad", "rad/s")), seconds=8).model
+    model = fitted(source_of(data[:, :2], data[:-1, 2], dt, ("a", "r"), ("rad", "rad/s")), seconds=30).model
     assert model.followed == {"u_lagging": "u"} and model.delay == pytest.approx(2 * dt, abs=dt / 4)
     assert coefficient(model, "u_lagging", "(u - u_lagging)") == pytest.approx(1 / 0.055, rel=0.05)
     names = {"a": -7.0, "r": -1.0, "u_lagging": 100.0}
     assert {name: coefficient(model, "r", name) for name in names} == pytest.approx(names, rel=0.05)
+
+
+@pytest.mark.usefixtures("one_fold")
+def test_two_days_whose_sensor_has_other_zeros_have_no_constant_in_their_equations():
+    """y' = -y + 2 u, of which the sensor reads .1 more on one day and .1 less on another."""
+    dt, rng = 0.05, np.random.default_rng(0)
+    u, (a, b) = steps(0, 80, 15), (math.exp(-0.05), 2 - 2 * math.exp(-0.05))
+    y = [0.0]
+    for held in u:
+        y.append(a * y[-1] + b * held)
+    source = source_of(np.array(y) + rng.normal(0, 0.01, len(y)), u, dt)
+    data, day = source.training, (torch.arange(len(u)) >= len(u) // 2).long()
+    zero = 0.1 - 0.2 * day.unsqueeze(-1)
+    days = replace(source, training=replace(data, x=data.x + zero, x_next=data.x_next + zero, segment=day))
+    model = fitted(days, ["1", "y", "u"], seconds=5).model
+    assert coefficient(model, "y", "1") == 0.0
+    names = {"y": -1.0, "u": 2.0}
+    assert {name: coefficient(model, "y", name) for name in names} == pytest.approx(names, rel=0.1)
 
 
 def noisy_tank(rows=600, pushes=0.01):
