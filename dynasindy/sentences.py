@@ -563,7 +563,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "fit.budget": "the search ended after {seconds:.0f} s of computing{stopped:?(it was stopped)}; the best model "
     "until then was kept. For a longer one give more <world_model.refinement.seconds>",
     # the model
-    "model.delay": "the inputs act {seconds:time} late, by a delay or a lag of about that",
+    "model.delay": "the inputs act {seconds:time} later than the equations say: a delay, or a lag of about that",
     "model.dry_friction": "{state}' has dry friction",
     "model.lag_state": "{state}, seen by no sensor, follows {signal} with a time constant of {seconds:.3g} s",
     "model.idle_state": "{states:and} stand in no equation; what no sensor sees needs a first guess of the equations, "

@@ -21,7 +21,7 @@ MARGIN = 0.06
 """Room above and below what is drawn, of the plant's own range."""
 LOST = 10.0
 """A prediction ends where it is off by more than this part of the range."""
-GAP = "gap: samples missing or left out"
+GAP = "samples missing or left out, or another recording"
 MOST = 50
 """More gaps than these are not marked, as the marks would hide the data."""
 
