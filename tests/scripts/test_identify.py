@@ -97,7 +97,7 @@ def test_what_is_said_to_come_next_runs_as_it_stands_and_has_all_that_was_given(
     assert next_command(alone)[2 : 2 + len(given)] == given
     _, script, *words = next_command(second)
     assert script == "scripts/train.py" and words[:4] == [*given, "plant.known={theta: theta_rate}"]
-    assert {"plant.outputs=[theta]", f"model='{tmp_path}/second/model.json'"} < set(words)
+    assert {"plant.outputs=[theta]", f'model="{tmp_path}/second/model.json"'} < set(words)
     more = ["planning.updates=1", "planning.rollouts=4", "evaluation.must_control=false", f"folder={tmp_path}/run"]
     command = [sys.executable, script, *words, *more]
     done = forked.run(command, cwd=REPOSITORY, timeout=300)
