@@ -568,7 +568,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "model.lag_state": "{state}, seen by no sensor, follows {signal} with a time constant of {seconds:.3g} s",
     "model.idle_state": "{states:and} stand in no equation; what no sensor sees needs a first guess of the equations, "
     "as in {initial:plant.initial}, with numbers of your plant",
-    "model.predicts": lambda seconds, exact, behind=False: (
+    "model.predicts": lambda seconds, exact, behind: (
         f"{'even so, ' * behind}this model predicts {format_duration(seconds)} ahead"
         + f", and {', '.join(exact)} as exactly as the sensors can tell" * bool(exact)
     ),

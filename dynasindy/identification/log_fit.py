@@ -400,7 +400,7 @@ class _Search:
 
     @property
     def best(self) -> Candidate:
-        return min(self.tried, key=lambda each: round(each.score, 3))  # of two alike, the first
+        return _best_first(self.tried)[0]
 
     @cached_property
     def until(self) -> float:
@@ -448,7 +448,7 @@ class _Search:
         """Return the best candidate, fitted to all training data; None where none could be fitted."""
         try:
             self._try_all()
-            for each in sorted(self.tried, key=lambda each: round(each.score, 3)):  # of two alike, the first
+            for each in _best_first(self.tried):
                 with _attempt():
                     return self._final(each)
             return None
@@ -499,10 +499,8 @@ class _Search:
                     self._regressed(model, source)
             self._try_larger_libraries([each])
         plain = [each for each in self.tried if not each.model.followed]
-        if plain and self.best not in plain:
-            simple = min(plain, key=lambda each: round(each.score, 3))
-            if not self._clearly_better(self.best, simple):  # by chance
-                self.tried = plain
+        if plain and self.best not in plain and not self._clearly_better(self.best, _best_first(plain)[0]):
+            self.tried = plain  # by chance
         if early := bool(self.tried) and self.best.score > HOPELESS:  # no function explains it
             attempt = self._try_chains if self.given.given_known else self._try_state_space
             self._try_hidden_states(self._try_disturbances, attempt)
@@ -1101,6 +1099,10 @@ def _with_coefficients(model: SindyModel, of: SindyModel) -> SindyModel:
 def _unfitted(factor: Factor) -> Factor:
     """Return a factor with the first guess of the number inside it."""
     return replace(factor, frequency=factor.fitted) if factor.fitted else factor
+
+
+def _best_first(candidates: Sequence[Candidate]) -> list[Candidate]:
+    return sorted(candidates, key=lambda each: round(each.score, 3))  # of two alike, the first that was tried
 
 
 def _better(first: Candidate, second: Candidate | None) -> Candidate:
