@@ -210,8 +210,8 @@ class ControlEnv(EnvBase):
             over = bool(after["done"].any())
             if len(begun) == max_steps or (over and break_when_any_done):
                 shape, names = (*now.batch_size, len(begun)), [*[None] * now.batch_dims, "time"]
-                first, last = (
-                    {key: torch.stack([period[key] for period in periods], now.batch_dims) for key in periods[0]}
+                first, last = (  # one period behind the other in memory, as it is made
+                    {key: torch.stack([each[key] for each in periods]).movedim(0, now.batch_dims) for key in periods[0]}
                     for periods in (begun, ended)
                 )
                 return TensorDict({**first, "next": TensorDict(last, shape)}, shape, names=names)
