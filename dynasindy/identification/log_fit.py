@@ -468,13 +468,33 @@ class _Search:
         return all(map(HoldOut.exact, self.folds, self.best.errors))
 
     def _try_all(self) -> None:
-        """Try linear equations of several structures, then functions and longer windows."""
+        """Try what costs little first: linear equations, functions of the best, hidden states, longer windows."""
         structures = list(self._structures())
         self._single_steps(structures)
         if self.builder is None:
             self._regressed(*structures[-1])
         for structure in structures:
             self._linear(*structure)
+        self._try_functions(structures)
+        if early := bool(self.tried) and self.best.score > HOPELESS:  # no function explains it
+            attempt = self._try_chains if self.given.given_known else self._try_state_space
+            self._try_hidden_states(self._try_disturbances, attempt)
+        self._try_larger_libraries(self._near())
+        with self._within(STAGE_SHARE):
+            if self.builder is not None and self.tried:
+                self._with_lag_states(self.best)
+            self._windows_of_leaders(self._near())
+        self._try_larger_libraries(self._near())
+        every = self._try_disturbances, self._try_chains, self._try_state_space
+        self._try_hidden_states(*([self._try_chains] if early else every))
+        seen = list[Candidate]()
+        while self.tried and self.best not in seen:  # until nothing gets better
+            seen.append(self.best)
+            self._try_larger_libraries(seen[-1:])
+            self._windows(self.best)
+
+    def _try_functions(self, structures: Sequence[tuple[SindyModel, Source]]) -> None:
+        """Try lags and functions of the best linear equations of each set of states; drop lags that are chance."""
         linear = sorted((each for each in self.tried if each.structure is not None), key=lambda each: each.score)
         if linear:
             linear[0] = self._varied(linear[0])
@@ -501,22 +521,6 @@ class _Search:
         plain = [each for each in self.tried if not each.model.followed]
         if plain and self.best not in plain and not self._clearly_better(self.best, _best_first(plain)[0]):
             self.tried = plain  # by chance
-        if early := bool(self.tried) and self.best.score > HOPELESS:  # no function explains it
-            attempt = self._try_chains if self.given.given_known else self._try_state_space
-            self._try_hidden_states(self._try_disturbances, attempt)
-        self._try_larger_libraries(self._near())
-        with self._within(STAGE_SHARE):
-            if self.builder is not None and self.tried:
-                self._with_lag_states(self.best)
-            self._windows_of_leaders(self._near())
-        self._try_larger_libraries(self._near())
-        every = self._try_disturbances, self._try_chains, self._try_state_space
-        self._try_hidden_states(*([self._try_chains] if early else every))
-        seen = list[Candidate]()
-        while self.tried and self.best not in seen:  # until nothing gets better
-            seen.append(self.best)
-            self._try_larger_libraries(seen[-1:])
-            self._windows(self.best)
 
     def _varied(self, of: Candidate) -> Candidate:
         """Try inputs that are linear between samples, and equations without constants, and return what is best."""
