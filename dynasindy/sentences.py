@@ -482,7 +482,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.scaled": "{input} is taken into [-1, 1], where planning needs it: 0 is {rest:.6g}{unit:unit}, 1 is "
     "{one:.6g}{unit:unit}; a controller keeps it from {low:.6g} to {high:.6g}{unit:unit}",
     "log.guessed_ends": "these are the ends of the log, of inputs named alike together; if an actuator goes further, "
-    "give its own, and low: -1, high: 1 keeps the numbers as they are: {inputs:data.inputs}",
+    "or rests elsewhere, give its own, and low: -1, high: 1 keeps the numbers as they are: {inputs:data.inputs}",
     "log.resolution": "{state} is read in steps of {step:.3g}{unit:unit}{coarse:?(a sensor that cuts off reads half a "
     "step too low, which no standard error tells)}",
     "log.repeats": "the log repeats itself every {seconds:time}, so what was kept from the fit is like what it saw and "

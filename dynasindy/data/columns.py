@@ -132,6 +132,14 @@ def _predicted_by(driver: Array, column: Array) -> float:
     return share
 
 
+def _acts(name: str, columns: Mapping[str, Array]) -> float:
+    return max((_predicted_by(columns[name], other) for n, other in columns.items() if n != name), default=0.0)
+
+
+def _moved(name: str, columns: Mapping[str, Array]) -> float:
+    return max((_predicted_by(other, columns[name]) for n, other in columns.items() if n != name), default=0.0)
+
+
 def _actuators(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[str]:
     """Return columns that are called as actuators are and follow none that is called so, if one of them moves others.
 
@@ -157,8 +165,9 @@ def _in_steps(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[st
         return []
     kind = {*_alike(found[0], units), *_find_similar(found[0], columns, units)}
     pair = [name for name in columns if name in kind]
-    if not {*found} <= kind:
-        return []
+    if not {*found} <= kind:  # what moves nothing, as the voltage of a battery, is no input
+        acting = {n: column for n, column in columns.items() if n not in found or _acts(n, columns) > 0}
+        return _in_steps(acting, units) if len(acting) < len(columns) else []
     found = pair if len(pair) < len(columns) else found  # columns of one matrix are no pair
     return found if len(found) < len(columns) else []
 
@@ -176,11 +185,8 @@ def _find_similar(name: str, columns: Mapping[str, Array], units: Mapping[str, s
         in_steps, moves = bool(units[each]) and _standing(columns[each]) > HELD, np.abs(np.diff(columns[each]))
         if (differ > 1 and not in_steps) or units[each] != units[name] or _is_measured(each, units[each]):
             continue
-        others = [other for other in columns if other != each]
-        acts = max((_predicted_by(columns[each], columns[other]) for other in others), default=0.0)
-        moved = max((_predicted_by(columns[other], columns[each]) for other in others), default=0.0)
         # No state jumps, however noisy it is.
-        if acts > 2 * moved and moves.max() > JUMP * np.quantile(moves, 0.95):
+        if _acts(each, columns) > 2 * _moved(each, columns) and moves.max() > JUMP * np.quantile(moves, 0.95):
             found.append(each)
     return found
 
@@ -286,7 +292,8 @@ def infer(
         lacks = "time" if not timed else "states" if found else "inputs"
         numbers = table.of_kind("constant", "counter", "moving")
         facts: dict[str, Any] = {"columns": table.headings, "numbers": numbers, "clock": clock}
-        if numbers and (guess := _guess_columns(table, clock if timed else None, found))["states"]:
+        sure = [name for name, reason in why.items() if reason in ("reference", "derived")]
+        if numbers and (guess := _guess_columns(table, clock if timed else None, found, sure))["states"]:
             facts["guess"] = guess
         raise LogError("log.no_roles", path=path, lacks=lacks, left_out=out, **facts)
     moving = min((_standing(moves[name]) for name in chosen if name in moves), default=1.0) < HELD
@@ -496,19 +503,20 @@ def _keeps_time(column: Array, t: Array) -> bool:
     return bool(steps.max() > 0 and off <= max(ticks, 1e-3 * np.ptp(x)))
 
 
-def _guess_columns(table: Table, time: str | None, inputs: Sequence[str]) -> dict[str, Any]:
-    """Return a first guess at time, a column that grows, inputs, held longest, and states, as facts for a reader."""
+def _guess_columns(table: Table, time: str | None, inputs: Sequence[str], left_out: Collection[str]) -> dict[str, Any]:
+    """Return a first guess at time, a column that grows, inputs, which act more than they are moved, and states."""
     columns = table.moving()
     growing = sorted((h for h in columns if grows(columns[h])), key=lambda heading: is_counter(columns[heading]))
     time = time or next(iter([*table.of_kind("dates"), *growing]), None)
     t = table.column(time) if time else np.zeros(0)
     aside = {time, *table.of_kind("counter"), *(h for h in columns if time and _keeps_time(table.column(h), t))}
-    still = {split_unit(h)[0]: _standing(column) for h, column in columns.items() if h not in aside}
-    names = [*still]
+    own = {name: x for h, x in columns.items() if (name := split_unit(h)[0]) not in left_out and h not in aside}
+    names = [*own]
     if not inputs and names:
-        longest = max(names, key=lambda name: still[name])
+        few = [name for name in names if _standing(own[name]) > HELD] or (names if len(names) <= WIDEST else names[-1:])
+        acting = max(few[::-1], key=lambda name: _acts(name, own) - _moved(name, own))
         units = dict(map(split_unit, columns))
-        first = next((n for n in names if _is_actuator(n, units[n])), longest if still[longest] > HELD else names[-1])
+        first = next((name for name in names if _is_actuator(name, units[name])), acting)
         pair = [name for name in _alike(first, units) if name in names]
         inputs = pair if len(pair) < len(names) else [first]  # one matrix is no pair
     states = [name for name in names if name not in inputs]

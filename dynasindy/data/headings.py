@@ -37,7 +37,8 @@ NAME = re.compile(r"[^\W\d][\w .-]*")
 """Names that can be told from functions and numbers in an equation."""
 ALONE = 4
 """Letters from which on a unit alone, such as `millis`, is the name of a time; `s` or `h` may be a way or a height."""
-ENDINGS = {"dps": "deg/s", "rpm": "rpm", "pct": "%", "V": "V"}
+ALIKE = "rpm", "V", "mV", "mA", "mm", "cm", "km", "Nm", "kN", "kW", "Pa", "kPa", "MPa", "bar", "mbar", "degC"
+ENDINGS = {"dps": "deg/s", "pct": "%", **{unit: unit for unit in ALIKE}}
 """Units as the end of a name has them behind a `_`, `supply_V`, beside those of angles."""
 ANGLES = {
     **dict.fromkeys(("deg", "grad", "degs", "degree", "degrees", "\u00ba"), "deg"),

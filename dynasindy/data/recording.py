@@ -36,7 +36,7 @@ from dynasindy.data.table import Table, correct_map
 from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.sentences import setting
 from dynasindy.systems.actuator_scaling import PLAIN, ActuatorScaling, actuator_units
-from dynasindy.systems.base import WHOLE, Signature
+from dynasindy.systems.base import WHOLE, Signature, turn_of
 from dynasindy.systems.transitions import Transitions
 
 Array = NDArray[np.float64]
@@ -286,7 +286,7 @@ class LogReader:
             raise LogError("log.time_order", file=path, **place, after=float(t[k + 1]), before=float(t[k]))
         columns = dict(zip(table.headings[1:], values[1:], strict=True))
         measured = {name: (columns[c.name] * c.scale, c.unit) for name, c in states.items() if c.name}
-        sound = ((name, _without_spikes(name, x, lines, findings), unit) for name, (x, unit) in measured.items())
+        sound = ((name, _without_spikes(name, x, unit, lines, findings), unit) for name, (x, unit) in measured.items())
         x = {name: _unwrap_angle(name, column, unit, findings) for name, column, unit in sound}
         u = np.stack([columns[c.name] * c.scale for c in inputs.values()], -1)
         return _Part(path, states, inputs, t, x, u, [*of_time, *findings])
@@ -353,15 +353,17 @@ def _hold_inputs(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -
     return frame
 
 
-def _without_spikes(name: str, x: Array, lines: pd.Index, findings: list[Finding]) -> Array:
+def _without_spikes(name: str, x: Array, unit: str, lines: pd.Index, findings: list[Finding]) -> Array:
     """Return samples without those at which a state leaves its course for one row, as a sensor that fails writes."""
     measured = np.isfinite(x)
     value = x if measured.all() else x[measured]
     if len(value) < 7:
         return x
-    around = np.pad(value, 1, mode="edge")  # at the ends nothing tells a fault from a start
+    turn = turn_of(unit)  # an angle that passes a whole turn to and fro, as noise moves it, leaves no course
+    course = np.unwrap(value, period=turn) if turn < np.inf else value
+    around = np.pad(course, 1, mode="edge")  # at the ends nothing tells a fault from a start
     before, after = around[:-2], around[2:]
-    off = np.abs(value - 0.5 * (before + after))
+    off = np.abs(course - 0.5 * (before + after))
     usual, (low, high) = float(np.quantile(off, 0.9)), np.quantile(value, [0.1, 0.9])
     far = (off > max(20 * usual, FAULTY * (high - low))) & (np.abs(after - before) < 0.1 * off)
     if not usual or not 0 < far.sum() <= FAULTY * len(value):
@@ -696,8 +698,7 @@ def _guess_range(low: float, high: float, unit: str) -> ActuatorScaling:
 def _with_ends(column: Column, reach: ActuatorScaling) -> Column:
     """Return a column with these ends; an actuator reaches where it rests, whether the log has tried it or not."""
     low, high = min(reach.low, reach.rest), max(reach.high, reach.rest)
-    rest = None if reach.rest == ActuatorScaling.of(low, high).rest else reach.rest
-    return replace(column, low=low, high=high, rest=rest)
+    return replace(column, low=low, high=high, rest=reach.rest or None)
 
 
 def _with_actuator_ranges(inputs: Mapping[str, Column], plant: Signature) -> dict[str, Column]:

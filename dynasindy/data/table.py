@@ -298,7 +298,7 @@ def _numbers(cells: pd.Series) -> tuple[Array, dict[str, Any] | None, bool]:
         return numbers, None, False
     first = str(worded.iloc[0])
     words = {"line": int(worded.index[0]), "text": first[:40], "count": len(worded)}
-    dates = _seconds(text) if np.isnan(numbers).all() and re.search(r"[^\d.,]", first) else numbers
+    dates = _seconds(text) if np.isnan(numbers).all() and re.search(r"[^\d.,]|\.\d\d?\.\d\d", first) else numbers
     is_date = dates is not numbers and bool(np.isfinite(dates).any())
     return dates if is_date else numbers, words, is_date
 

@@ -214,7 +214,7 @@ def test_a_reference_by_another_name_is_one_by_what_follows_it_and_a_slow_sensor
 def test_columns_that_move_in_steps_are_the_inputs_where_no_heading_says_so_and_others_are_not(tmp_path):
     t = np.arange(600.0)
     rng = np.random.default_rng(4)
-    one, two, mode = (np.repeat(rng.uniform(0, 50, 600 // n), n) for n in (30, 20, 15))
+    one, two = (np.repeat(rng.uniform(0, 50, 600 // n), n) for n in (30, 20))
     a, b = (np.convolve(x, np.ones(50) / 50)[:600] + rng.normal(0, 0.1, 600) for x in (one, two))
     path = tmp_path / "log.csv"
 
@@ -225,7 +225,7 @@ def test_columns_that_move_in_steps_are_the_inputs_where_no_heading_says_so_and_
     assert found.signature.input_names == ("Heater 1", "Heater 2")
     assert codes(found)["log.guessed_inputs"].severity == "weak"
     for headings, columns in (
-        ("time,x,y,a,b", (t, one, mode, a, b)),  # which of them drives the plant nobody knows
+        ("time,x,y,a,b", (t, one, two, a, b)),  # which of them drives the plant nobody knows
         ("time,a,b,c", (t, a, b, rng.normal(0, 1, 600))),
         ("time,a,b,phase", (t, a, b, t // 200)),  # a label
         ("time,x_1,x_2", (t, one, two)),
@@ -347,6 +347,24 @@ def test_what_is_called_as_an_actuator_and_moves_nothing_is_no_input(tmp_path):
     assert refused(lambda: infer(Table.read(path))).values["guess"]["inputs"] == ["tau1", "tau2", "tau3"]
 
 
+def test_what_moves_in_steps_and_drives_nothing_hides_no_input(tmp_path):
+    """The voltage of a battery beside the command of a motor."""
+    held, battery = np.repeat(np.random.default_rng(3).uniform(-1, 1, 75), 20), 12.4 - 0.1 * (np.arange(1500) // 300)
+    path = write(tmp_path / "log.csv", "time,way,setting,supply", LONG, np.cumsum(MOTOR[1]), held, battery)
+    assert list(infer(Table.read(path))[1]) == ["setting"]
+
+
+def test_a_first_guess_takes_what_acts_and_neither_references_nor_what_follows_from_others(tmp_path):
+    reference, noise = multisine(LONG, 2), 1e-3 * np.random.default_rng(7).normal(size=(2, len(LONG)))
+    path = write(
+        tmp_path / "log.csv",
+        "time,Sollwinkel,Regelfehler,Ventil,Winkel,Rate",
+        *(LONG, reference, reference - HELD_ARM[0], HELD_ARM[2], HELD_ARM[0] + noise[0], HELD_ARM[1] + noise[1]),
+    )
+    guess = refused(lambda: infer(Table.read(path))).values["guess"]
+    assert guess["inputs"] == ["Ventil"]
+
+
 @pytest.mark.parametrize("names", ["setting,current [A],omega", "Q [%],T pump,T2", "Q,motor [rad],load [rad]"])
 @pytest.mark.parametrize("states", [None, (1, 2)])
 def test_what_is_called_an_actuator_and_follows_a_column_in_steps_is_a_state(tmp_path, names, states):
@@ -451,6 +469,16 @@ def test_an_angle_that_wraps_goes_on(tmp_path, unit, turn, start):
     x = found.transitions.x[:, 0].numpy()
     seen = np.isfinite(x)
     assert seen.sum() == np.isfinite(inside[1:-2]).sum() and np.ptp(x[seen] - whole[1:-2][seen]) < 1e-9 * turn
+
+
+def test_a_noisy_compass_that_passes_north_to_and_fro_has_no_faults_and_keeps_those_that_it_has(tmp_path):
+    heading = 400 * np.sin(1.5 * T) + np.random.default_rng(0).normal(0, 2.0, ROWS)
+    heading[80] += 170
+    found = recording(tmp_path / "l.csv", "time,q [deg],u", T, heading % 360, COMMAND)
+    assert [each.values["count"] for each in found.findings if each.code == "log.spikes"] == [1]
+    x = found.transitions.x[:, 0].numpy()
+    assert np.isfinite(x).sum() == len(x) - 1
+    assert np.degrees(np.nanmax(np.abs(np.diff(x)))) < 30
 
 
 @pytest.mark.parametrize("unit", ["-", "mm"])

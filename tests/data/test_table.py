@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from dynasindy.data.headings import in_radians
@@ -91,10 +92,20 @@ def test_dates_of_the_time_column_become_seconds(tmp_path):
         Table.read(write(tmp_path, text)).select(["a", "time"])
 
 
+@pytest.mark.parametrize("day", ["%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%Y-%m-%d"])
+def test_days_beside_times_of_day_go_on_over_midnight(tmp_path, day):
+    times = pd.Timestamp(2025, 5, 6, 23, 59, 58) + pd.to_timedelta(np.arange(4), unit="s")
+    rows = (f"{time.strftime(day)};{time:%H:%M:%S};{k},5" for k, time in enumerate(times))
+    table = Table.read(write(tmp_path, "\n".join(["Datum;Uhrzeit;a", *rows])))
+    (clock,) = table.of_kind("dates")
+    assert np.diff(table.column(clock)).tolist() == [1.0] * 3
+
+
 @pytest.mark.parametrize(
     ("headings", "plain"),
     [
         ("a_deg,rate_deg_s,u_pct", ["a [deg]", "rate [deg/s]", "u [%]"]),
+        ("x_mm,tank_bar,u_mA", ["x [mm]", "tank [bar]", "u [mA]"]),
         ("a_deg,a_rad,q[0],q[1]", ["a_deg [deg]", "a_rad [rad]", "q_0", "q_1"]),
         ("/joint/q[1],/cmd/u,x_V [V]", ["joint_q_1", "cmd_u", "x_V [V]"]),
     ],
