@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -91,7 +92,10 @@ def period_of(t: Array) -> float:
     Args:
         t: Time of each row, `(rows,)`, two or more [s].
     """
-    return float(f"{np.median(np.diff(t)):.12g}")  # differences of decimals carry digits that nobody logged
+    usual = float(np.median(np.diff(t)))
+    # Differences of decimals, and more so those of dates, carry digits that nobody logged.
+    sure = max(usual / np.spacing(np.abs(t).max()), 10.0)
+    return float(f"{usual:.{min(int(math.log10(sure)), 12)}g}")
 
 
 def date_unit(values: Array) -> str:

@@ -1,6 +1,7 @@
 """The time of a log, its unit and what is said of it, against times that were written into a file."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from scipy.signal import cont2discrete
 
 import dynasindy
 from dynasindy.data.clock import clock_of
+from dynasindy.data.table import Table
 from dynasindy.findings import note, weak
 from dynasindy.identification.identify import LoggedData
 from dynasindy.sindy import Refinement, Regression, SindyModel
@@ -25,6 +27,9 @@ def test_the_period_of_a_log_is_the_decimal_number_that_was_written(tmp_path):
     stamps = [f"{0.04 * k:.2f}" for k in range(300)]
     assert np.median(np.diff([float(stamp) for stamp in stamps])) != 0.04
     assert LoggedData(written(tmp_path / "log.csv", "time", stamps)).recording().transitions.dt == 0.04
+    dates = [f"2024-03-05T14:02:{0.02 * k:06.3f}Z" for k in range(300)]
+    assert np.median(np.diff(Table.read(Path(written(tmp_path / "log.csv", "time", dates))).column("time"))) != 0.02
+    assert LoggedData(written(tmp_path / "log.csv", "time", dates)).recording().transitions.dt == 0.02
 
 
 @pytest.mark.parametrize(
