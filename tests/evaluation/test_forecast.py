@@ -117,6 +117,8 @@ def test_a_plant_is_as_far_off_as_pushes_hold_it():
     rare = Forecast.of([CAR, CAR], env, constant(0.5), still, pushes=once)
     first, second = (flight.share["Omega"] for flight in rare.flights)
     assert first < 0.1 * off and 1.3 * first < second < 2 * first
+    far = Forecast.of([CAR, CAR], env, constant(0.5), still, pushes=20 * push.expand(40, -1)).findings
+    assert [each.code for each in far] == ["forecast.tracked", "forecast.pushed"]
 
 
 def test_a_model_that_only_pushes_make_diverge_promises_nothing():
