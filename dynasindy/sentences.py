@@ -445,7 +445,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.code": "{column} is {value:g} in {count:# row|# rows} from line {line} on, far off all others, and left out",
     "log.spikes": "{count:a single sample|# single samples} of {state}, {count:in|the first in} line {line}, "
     "{count:is|are} far off its course and {count:counts|count} as missing",
-    "log.unwrapped": "{state} jumps by {turn:.6g} {times:once|# times} and was unwrapped, as a controller has to do"
+    "log.unwrapped": "{state} jumps {times:once|# times} by {turn:.6g} and was unwrapped, as a controller has to do"
     "{counts:|; a unit that is none of an angle keeps it as it is}",
     "log.jumps": lambda states, **facts: _fill(
         "{state} jumps {times:once|# times} by up to {size:.4g}, first after {after:.6g} s, and else moves by at most "

@@ -104,6 +104,10 @@ def _read_text(path: Path, file: TextIO) -> Raw:
         if (broken := texts.str.contains("[\r\n]")).any():
             raise _no_table(path, f"a quote opens in line {broken.idxmax()} and does not close there")
         if decimal == ",":
+            whole = texts.str.fullmatch(r"-?\d{1,3}(,\d+)?|")
+            grouped = texts.str.fullmatch(r"-?[1-9]\d{0,2}(\.\d{3})+(,\d+)?")
+            if whole.any() and grouped.any() and (whole | grouped | texts.isna()).all():
+                texts = texts.str.replace(".", "", regex=False)
             frame[column] = texts.str.replace(",", ".", regex=False)
     frame = frame.dropna(how="all")
     beyond = frame.iloc[:, len(headings) :].notna().any(axis=1)
@@ -190,7 +194,8 @@ def _layout(path: Path, lines: Sequence[str]) -> tuple[str, str, Sequence[str], 
     first = 1 if first == len(rows) else first  # no values at all
     again = (k for k, row in enumerate(rows[: first - 1]) if row == rows[first - 1] and holds_values(rows[k + 1], True))
     first = next(again, first - 1) + 1  # headings of a page, or of a logger that began anew, are those of the first
-    decimal = "," if separator != "," and any(re.search(r"\d,\d", lines[k]) for k in filled[first:]) else "."
+    commas = r"\d,\d" if separator != "," else r"^-?(0,\d+|\d+,(\d\d?|\d{4,}))$"  # in quotes, and no thousands
+    decimal = "," if any(re.search(commas, text) for row in rows[first:] for text in row) else "."
     split = separator == BLANKS
     head = [WORD.findall(lines[k]) if split and len(row) > common else row for k, row in zip(filled, rows[:first])]
     differ = [k for k, row in enumerate(head) if _differ(row, common) and not (k and _are_units(row, head[k - 1]))]

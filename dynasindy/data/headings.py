@@ -39,7 +39,7 @@ ALONE = 4
 """Letters from which on a unit alone, such as `millis`, is the name of a time; `s` or `h` may be a way or a height."""
 ALIKE = "rpm", "V", "mV", "mA", "mm", "cm", "km", "Nm", "kN", "kW", "Pa", "kPa", "MPa", "bar", "mbar", "degC"
 ENDINGS = {"dps": "deg/s", "pct": "%", **{unit: unit for unit in ALIKE}}
-"""Units as the end of a name has them behind a `_`, `supply_V`, beside those of angles."""
+"""Units as the end of a name has them, `supply_V` or `U/V`, beside those of angles."""
 ANGLES = {
     **dict.fromkeys(("deg", "grad", "degs", "degree", "degrees", "\u00ba"), "deg"),
     **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
@@ -99,7 +99,7 @@ def _apart(name: str) -> tuple[str, str]:
         text = name[between.end() :].rstrip("}>")
         unit = _plain_unit(text)
         said = between[0].strip() in ("in", ",") and unit.lower() in UNITS
-        if between[0] == "_" and text in ENDINGS:
+        if between[0].strip() in ("_", "/") and text in ENDINGS:
             unit, said = ENDINGS[text], True
         if between.start() and (said or re.fullmatch(r"(m?rad|[mc]?deg|\u00b0)(/s)?", unit)):
             return name[: between.start()], unit

@@ -176,7 +176,7 @@ class Table:
 
 def _plain_headings(headings: Sequence[str]) -> list[str]:
     """Return headings with plain names, but where two of these would be the same."""
-    own = {*headings}  # of which `der(angle)` is none in the unit `angle`
+    own = {*headings} - {""}  # of which `der(angle)` is none in the unit `angle`
     plain = [re.sub(r"\W+", "_", h).strip("_") if split_unit(h)[1] in own else plain_heading(h) for h in headings]
     names = [split_unit(heading)[0] for heading in plain]
     found = []

@@ -92,6 +92,24 @@ def test_dates_of_the_time_column_become_seconds(tmp_path):
         Table.read(write(tmp_path, text)).select(["a", "time"])
 
 
+def test_an_index_without_a_heading_leaves_units_what_they_are(tmp_path):
+    table = Table.read(write(tmp_path, ",time,a_deg\n0,0.0,1.5\n1,0.1,2.5\n2,0.2,3.5\n"))
+    assert table.headings == ["time", "a [deg]"]
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [
+        ('"t","a","b"\n"0,01","1,5","-2,25"\n"0,02","2","3,125"\n', [[0.01, 1.5, -2.25], [0.02, 2.0, 3.125]]),
+        ('t,a,b\n0.5,"1,250",3\n1.5,2,3\n', [[0.5, np.nan, 3.0], [1.5, 2.0, 3.0]]),  # which of both it is
+        ("t;a;b\n0,5;999;-1.234,5\n1,5;1.000;12,25\n", [[0.5, 999.0, -1234.5], [1.5, 1000.0, 12.25]]),
+        ("t;a;b\n0,5;1.250;1.5\n1,5;1.000;2\n", [[0.5, 1.25, 1.5], [1.5, 1.0, 2.0]]),
+    ],
+)
+def test_commas_and_points_are_decimals_or_between_thousands_as_a_column_tells(tmp_path, text, numbers):
+    assert np.array_equal(Table.read(write(tmp_path, text)).frame.to_numpy(), numbers, equal_nan=True)
+
+
 @pytest.mark.parametrize("day", ["%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%Y-%m-%d"])
 def test_days_beside_times_of_day_go_on_over_midnight(tmp_path, day):
     times = pd.Timestamp(2025, 5, 6, 23, 59, 58) + pd.to_timedelta(np.arange(4), unit="s")
@@ -105,7 +123,7 @@ def test_days_beside_times_of_day_go_on_over_midnight(tmp_path, day):
     ("headings", "plain"),
     [
         ("a_deg,rate_deg_s,u_pct", ["a [deg]", "rate [deg/s]", "u [%]"]),
-        ("x_mm,tank_bar,u_mA", ["x [mm]", "tank [bar]", "u [mA]"]),
+        ("x_mm,tank_bar,U/V", ["x [mm]", "tank [bar]", "U [V]"]),
         ("a_deg,a_rad,q[0],q[1]", ["a_deg [deg]", "a_rad [rad]", "q_0", "q_1"]),
         ("/joint/q[1],/cmd/u,x_V [V]", ["joint_q_1", "cmd_u", "x_V [V]"]),
     ],
