@@ -21,6 +21,7 @@ from dynasindy.planning.margins import MOVEMENT
 from dynasindy.progress import reporting_as, track
 from dynasindy.safe_io import checked_class
 from dynasindy.sindy import SindyModel
+from dynasindy.systems.base import turn_of
 from dynasindy.text import unit_suffix
 
 DRAWN = 0.05
@@ -238,7 +239,8 @@ def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: Resti
     r, points = settings.ends.mean(0, keepdim=True), settings.grid
     held = torch.isclose(targets, r, atol=0.0).all(-1).nonzero().flatten()  # none of an even number along an output
     home = rest.select(held) if len(held) else find_rest(loop, r, seconds=seconds)
-    x, scale = home.z[0, loop.parts["x"]], torch.tensor(signature.x_scale, dtype=torch.float64)
+    sizes = map(min, signature.x_scale, map(turn_of, signature.state_units))  # no angle is farther off than a turn
+    x, scale = home.z[0, loop.parts["x"]], torch.tensor([*sizes], dtype=torch.float64)
     axis = settings.reach * torch.linspace(-1.0, 1.0, points, dtype=torch.float64)
     starts = x.double().repeat(len(pairs), points, points, 1)
     for start, (a, b) in zip(starts, pairs, strict=True):

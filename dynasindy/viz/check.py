@@ -14,7 +14,7 @@ from torch import Tensor
 
 from dynasindy.evaluation.check import TOLERANCE, Check, Thresholds
 from dynasindy.evaluation.linear_loop import frequencies, open_loop_response
-from dynasindy.text import format_duration
+from dynasindy.text import format_duration, unit_suffix
 from dynasindy.viz import style
 
 EDGE = 0.08
@@ -46,7 +46,7 @@ def _in_words(found: Check, target: Tensor) -> str:
     signature, outputs = found.loop.signature, found.loop.task.outputs
     values = zip(outputs, target.tolist(), strict=True)
     return ", ".join(
-        f"{style.symbol(signature.state_names[i])} = {v:.3g} {signature.state_units[i]}" for i, v in values
+        f"{style.symbol(signature.state_names[i])} = {v:.3g}{unit_suffix(signature.state_units[i])}" for i, v in values
     )
 
 

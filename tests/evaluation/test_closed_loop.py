@@ -192,6 +192,13 @@ def test_a_loop_that_rests_beside_its_target_comes_back_to_there_and_its_error_i
     assert plane.steady_error.tolist() == pytest.approx([0.5], abs=1e-6)
 
 
+def test_an_angle_that_went_round_in_the_log_need_not_come_back_from_farther_than_a_turn():
+    loop = make_loop(Law(2.0, 2.5))
+    loop.signature = replace(loop.signature, state_units=("rad", "rad/s"), x_scale=(30.0, 3.0))
+    (plane,) = check(loop, replace(HERE, grid=5)).planes
+    assert (plane.first.max(), plane.second.max()) == (pytest.approx(math.pi), pytest.approx(1.5))
+
+
 def moved(k_p, k_v, friction, target, periods, dt=0.1):
     """Positions and inputs of v' = u - friction v under a held u = clip(k_p (r - p) - k_v v), exactly."""
     left = math.exp(-friction * dt)
