@@ -12,8 +12,9 @@ from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward
 from dynasindy.planning import trajectory_library
 from dynasindy.planning.plan_settings import find_task_equilibria
 from dynasindy.planning.regulator import Regulator
-from dynasindy.planning.rollout import Rows
+from dynasindy.planning.rollout import Rows, imagine
 from dynasindy.planning.trajectory_library import (
+    NEAR,
     NEARNESS,
     WEIGHTS,
     TrajectoryLibrary,
@@ -22,6 +23,7 @@ from dynasindy.planning.trajectory_library import (
     _log_values,
     _roll,
     _search,
+    at_rest,
     cross_entropy,
     signal,
 )
@@ -204,3 +206,17 @@ def test_the_search_finds_the_quick_way_home():
     assert ways.states.abs().amax(-1).amin(0).max() < 0.1 and ways.states[:15].abs().amax(-1).min() > 0.1
     sign = torch.tensor([[1.0], [-1.0]])
     assert (sign * ways.inputs[2] < -0.5).all() and (sign * ways.inputs[15] > 0.3).all()
+
+
+def test_an_episode_too_short_for_a_slow_plant_is_on_its_way_to_rest_and_one_that_goes_elsewhere_is_not():
+    plant = Plant("x", lambda x, u: [0.2 * (u - x)])
+    reward = TrackingReward((4.0,), error_shape="linear", bonus=0.0, width=0.02)
+    task = Tracking(plant.signature, RandomStep([0.5], [0.5]), ("x",), (None,), reward, max_steps=60)
+    env = ControlEnv(plant, task, 0.02, 1)
+    law = Regulator.of(env, find_task_equilibria(env), *WEIGHTS)
+    rows = Rows.draw(env, 4, torch.Generator().manual_seed(0))
+    slow = Regulator.of(env, find_task_equilibria(env), 1e-3, 1e-3)
+    for pilot, arrives in ((slow, True), (lambda observation: 0.0 * slow(observation) - 0.5, False)):
+        end = imagine(env, pilot, rows, 60).states[-1]
+        assert not bool(law.home(end, torch.full((4, 1), 0.5), NEAR).any())
+        assert at_rest(env, pilot, slow, rows, 60).tolist() == [arrives] * 4
