@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -92,10 +91,10 @@ def period_of(t: Array) -> float:
     Args:
         t: Time of each row, `(rows,)`, two or more [s].
     """
-    usual = float(np.median(np.diff(t)))
+    usual, near = float(np.median(np.diff(t))), np.spacing(np.abs(t).max())
     # Differences of decimals, and more so those of dates, carry digits that nobody logged.
-    sure = max(usual / np.spacing(np.abs(t).max()), 10.0)
-    return float(f"{usual:.{min(int(math.log10(sure)), 12)}g}")
+    decimals = [float(f"{usual:.{digits}g}") for digits in range(1, 13)]
+    return next((period for period in decimals if abs(period - usual) <= near), decimals[-1])
 
 
 def date_unit(values: Array) -> str:

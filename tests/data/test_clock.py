@@ -27,9 +27,11 @@ def test_the_period_of_a_log_is_the_decimal_number_that_was_written(tmp_path):
     stamps = [f"{0.04 * k:.2f}" for k in range(300)]
     assert np.median(np.diff([float(stamp) for stamp in stamps])) != 0.04
     assert LoggedData(written(tmp_path / "log.csv", "time", stamps)).recording().transitions.dt == 0.04
-    dates = [f"2024-03-05T14:02:{0.02 * k:06.3f}Z" for k in range(300)]
-    assert np.median(np.diff(Table.read(Path(written(tmp_path / "log.csv", "time", dates))).column("time"))) != 0.02
-    assert LoggedData(written(tmp_path / "log.csv", "time", dates)).recording().transitions.dt == 0.02
+    for period, logged in ((0.02, 0.02), (1 / 64, 1 / 64), (1 / 60, 0.016667)):
+        dates = [f"2024-03-05T14:02:{period * k:09.6f}Z" for k in range(300)]
+        path = written(tmp_path / "log.csv", "time", dates)
+        assert period == 1 / 64 or np.median(np.diff(Table.read(Path(path)).column("time"))) != logged
+        assert LoggedData(path).recording().transitions.dt == logged
 
 
 @pytest.mark.parametrize(
