@@ -126,7 +126,7 @@ class TrajectoryLibrary:
             return self.regulator.task.limit(u + INPUT_NOISE * torch.randn(u.shape, generator=rng)) if errs else u
 
         laws: tuple[Network, ...] = self, _noisy
-        exact, rough = (at_rest(env, law, self.regulator, rows, periods + WATCHED).sum() for law in laws)
+        exact, rough = (_imagine_to_rest(env, law, self.regulator, rows, periods + WATCHED)[2].sum() for law in laws)
         return int(exact), int(rough)
 
     def __call__(self, observation: Tensor) -> Tensor:
@@ -197,8 +197,8 @@ def _catch(env: ControlEnv, regulator: Regulator, rows: Rows) -> dict[int, _Traj
 def at_rest(env: ControlEnv, law: Network, regulator: Regulator, rows: Rows, periods: int) -> Tensor:
     """Return which imagined episodes rest at their reference in the end, or are on their way there, bool `(rows,)`.
 
-    An episode may be too short for a slow plant. It is on its way where the regulator's value falls as the square of a
-    motion that takes twice the time of the regulator's slowest one.
+    An episode may be too short for a slow plant. It is on its way where the regulator's value falls in each third of
+    its end, and in all as the square of a motion that takes twice the time of the regulator's slowest one.
 
     Args:
         env: Imagined environment.
@@ -208,8 +208,10 @@ def at_rest(env: ControlEnv, law: Network, regulator: Regulator, rows: Rows, per
         periods: Their length [control periods].
     """
     whole, reference, rests = _imagine_to_rest(env, law, regulator, rows, periods)
-    before, now = (regulator.value(whole.states[k], reference) for k in (-STILL, -1))
-    return rests | (whole.alive[-1] & (now < math.exp(-STILL / regulator.slowest) * before))
+    value = regulator.value(whole.states[-STILL:], reference)
+    thirds = value[torch.linspace(0, len(value) - 1, 4).round().long()]
+    falls = (thirds.diff(dim=0) < 0).all(0) & (value[-1] < math.exp(-len(value) / regulator.slowest) * value[0])
+    return rests | (whole.alive[-1] & falls)
 
 
 @torch.no_grad()

@@ -220,3 +220,10 @@ def test_an_episode_too_short_for_a_slow_plant_is_on_its_way_to_rest_and_one_tha
         end = imagine(env, pilot, rows, 60).states[-1]
         assert not bool(law.home(end, torch.full((4, 1), 0.5), NEAR).any())
         assert at_rest(env, pilot, slow, rows, 60).tolist() == [arrives] * 4
+        assert at_rest(env, pilot, slow, rows, 10).tolist() == [arrives] * 4
+    # From 1 to -1.6, it is nearer to 0.5 at the end than 20 periods before, for it has just come by.
+    start, ends = Rows.start(torch.ones(4, 1), rows.params, rows.held.shape[1]), list[bool]()
+    for periods in (40, 60):
+        end = imagine(env, by := lambda observation: 0.0 * slow(observation) - 1.6, start, periods).states[-1]
+        ends.append(bool((end > 0.5).all()))
+    assert ends == [True, False] and not at_rest(env, by, slow, start, 60).any()
