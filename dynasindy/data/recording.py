@@ -360,7 +360,7 @@ def _without_spikes(name: str, x: Array, unit: str, lines: pd.Index, findings: l
     if len(value) < 7:
         return x
     turn = turn_of(unit)  # an angle that passes a whole turn to and fro, as noise moves it, leaves no course
-    course = np.unwrap(value, period=turn) if turn < np.inf else value
+    course = np.unwrap(value, period=turn) if np.ptp(value) <= 1.001 * turn < np.inf else value
     around = np.pad(course, 1, mode="edge")  # at the ends nothing tells a fault from a start
     before, after = around[:-2], around[2:]
     off = np.abs(course - 0.5 * (before + after))

@@ -481,6 +481,14 @@ def test_a_noisy_compass_that_passes_north_to_and_fro_has_no_faults_and_keeps_th
     assert np.degrees(np.nanmax(np.abs(np.diff(x)))) < 30
 
 
+def test_a_row_that_is_off_by_a_turn_is_a_fault_of_the_counter_beside_an_encoder(tmp_path):
+    way = np.degrees(ANGLE)
+    way[100] += 360
+    found = recording(tmp_path / "l.csv", "time,q [deg],u", T, way, COMMAND)
+    assert [each.values["count"] for each in found.findings if each.code == "log.spikes"] == [1]
+    assert np.flatnonzero(np.isnan(found.transitions.x[:, 0].numpy())).tolist() == [100]
+
+
 @pytest.mark.parametrize("unit", ["-", "mm"])
 @pytest.mark.parametrize("turn", [1000.0, 400.0, 1.0, 437.5, 628.3])
 @pytest.mark.parametrize("start", [0.0, -0.5])
