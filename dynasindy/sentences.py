@@ -654,8 +654,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "forecast.no_equilibrium": "{targets}: give a smaller range of targets, or log and use more of the inputs' range",
     "forecast.models_differ": "what the log leaves open decides whether models are held: log longer, let the inputs "
     "change more often and more widely, or name functions and states that the model lacks",
-    "forecast.pushed": "without what moves the plant in the log and is not in the equations all targets are held: mend "
-    "what shakes it, or its sensors, or give a wider range of targets, of which errors are shares",
+    "forecast.pushed": "all targets are held without the disturbances seen in the log: reduce them (vibration, noise "
+    "of sensors), or ask for a wider range of targets, of which errors are shares",
     "forecast.longer_plan": "a longer plan, or a smaller range of targets, may hold it",
     "forecast.short_log": "half of what the plan does not see of the log has {samples} samples, fewer than the "
     "{functions} functions of the equations, which tells nothing: log longer, or choose a smaller library",

@@ -38,7 +38,7 @@ class Forecast:
         seconds: Length of the flights [s]; None where it is not known.
         static_friction: What a model shows whose dry friction at rest is larger than in motion, of which a log tells
             little: promises leave it out, and a finding says so.
-        calm: What the models show without pushes; empty where nothing pushed them.
+        undisturbed: What the models show without pushes; empty where nothing pushed them.
     """
 
     flights: tuple[TrackingCriteria | None, ...]
@@ -49,7 +49,7 @@ class Forecast:
     no_equilibrium: str = ""
     seconds: float | None = None
     static_friction: tuple[TrackingCriteria | None, ...] = ()
-    calm: tuple[TrackingCriteria, ...] = ()
+    undisturbed: tuple[TrackingCriteria, ...] = ()
 
     @classmethod
     def of(
@@ -76,7 +76,7 @@ class Forecast:
             pushes: What moves the models besides, see `ControlEnv.pushes`; nothing if omitted. All models but the first
                 get pushes as large as they may be in the long run.
         """
-        calm = list[TrackingCriteria]()
+        undisturbed = list[TrackingCriteria]()
 
         def _fly(k: int, model: System) -> tuple[Evaluation | None, TrackingCriteria | None]:
             env, phase = plan.with_system(model, torch.float64), f"flights on model {k + 1} of {len(models)}"
@@ -90,7 +90,7 @@ class Forecast:
                 if pushes is None:
                     return result, flight
                 # Whether states come to rest, flights without pushes tell.
-                calm.append(flight)
+                undisturbed.append(flight)
                 env.pushes = pushes if k == 0 else pushes * _growth(pushes)
                 result = fly(f"{phase}, pushed as in the log")
                 if not bool(result.lost.any()):
@@ -99,8 +99,8 @@ class Forecast:
             return None, None
 
         results, flights = zip(*(_fly(k, model) for k, model in enumerate(models)), strict=True)
-        length = scenario.length(plan)
-        return cls(flights, next(filter(None, results), None), within=within, seconds=length, calm=tuple(calm))
+        result, length = next(filter(None, results), None), scenario.length(plan)
+        return cls(flights, result, within=within, seconds=length, undisturbed=tuple(undisturbed))
 
     def __repr__(self) -> str:
         kept = f"promised={self.promised}, controlled={self.controlled}, {len(self.flights)} models"
@@ -147,7 +147,7 @@ class Forecast:
                 least, most = (max((each[key] for each in errors), default=0.0) for key in ("least", "most"))
                 if self.no_equilibrium:
                     findings.append(wrong("forecast.no_equilibrium", targets=self.no_equilibrium))
-                elif self.calm and judge_control(self.calm, self.within)[0] is not False:
+                elif self.undisturbed and judge_control(self.undisturbed, self.within)[0] is not False:
                     findings.append(weak("forecast.pushed"))
                 elif not self.in_sample and least <= self.within < most:
                     findings.append(weak("forecast.models_differ"))
