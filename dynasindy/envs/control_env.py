@@ -210,7 +210,7 @@ class ControlEnv(EnvBase):
             over = bool(after["done"].any())
             if len(begun) == max_steps or (over and break_when_any_done):
                 shape, names = (*now.batch_size, len(begun)), [*[None] * now.batch_dims, "time"]
-                first, last = (  # one period behind the other in memory, as it is made
+                first, last = (  # stacked along time first, so that each period is copied as one block
                     {key: torch.stack([each[key] for each in periods]).movedim(0, now.batch_dims) for key in periods[0]}
                     for periods in (begun, ended)
                 )

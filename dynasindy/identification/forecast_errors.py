@@ -404,7 +404,7 @@ def characteristic(data: Transitions, signature: Signature) -> float:
 
     An angle that turns over is as far from where it was after a part of a turn as it ever is.
     """
-    longest = max(2, int(torch.bincount(data.segment - data.segment.min()).max()) // 3)
+    longest = max(2, data.longest_segment // 3)
     lags = sorted({round(1.15**k) for k in range(200) if round(1.15**k) <= longest})
     waiting = [i for i in range(data.x.shape[1]) if float(data.x_next[:, i].nan_to_num().std()) > 0]
     turns = torch.tensor([turn_of(unit) for unit in signature.state_units], dtype=torch.float64)

@@ -61,6 +61,7 @@ from dynasindy.sindy.reconstruction import (
     has_gaps,
     rate_states,
     reconstruct,
+    settle_lag_states,
 )
 from dynasindy.sindy.refinement import FARTHER, TELLING, Refinement
 from dynasindy.sindy.regression import SAMPLES_EACH, Rows, fit_supported
@@ -79,6 +80,10 @@ SOONEST, SLOWEST = 0.02, 3
 """First and last time ahead over which candidates are judged [times in which the slowest state changes]."""
 LOST = 1e3
 """Times the error of the best simple model that counts at most, as of a candidate that runs away."""
+NEAR = 3
+"""Ranges of a state within which equations stay near what was seen."""
+EXPLODED = 1e6
+"""Ranges of a state that only exponential growth leaves within the time of a log."""
 FORGOTTEN = 2**0.5
 """Error of a prediction that has nothing to do with what comes [deviations of the state]."""
 ROWS, FINAL_ROWS = 10_000, 30_000
@@ -403,9 +408,14 @@ class _Search:
         return _best_first(self.tried)[0]
 
     @cached_property
-    def until(self) -> float:
-        """CPU time after which no other candidate begins [s]."""
+    def end(self) -> float:
+        """CPU time at which the last candidate ends [s]."""
         return self.began + (1 - LAST_SHARE) * self.refinement.seconds
+
+    @cached_property
+    def until(self) -> float:
+        """CPU time after which no other candidate begins [s]; one that has begun goes on until all end."""
+        return self.end
 
     @property
     def expired(self) -> bool:
@@ -475,6 +485,7 @@ class _Search:
             self._regressed(*structures[-1])
         for structure in structures:
             self._linear(*structure)
+        self.tried = [each for each in self.tried if not self._explodes(each.model, each.source)]
         self._try_functions(structures)
         if early := bool(self.tried) and self.best.score > HOPELESS:  # no function explains it
             attempt = self._try_chains if self.given.given_known else self._try_state_space
@@ -578,7 +589,7 @@ class _Search:
                 fitted.append(copy.deepcopy(model))
                 fitted[-1].refinement = settings
                 most = self.refinement.seconds * LARGEST_SHARE / len(self.folds)
-                with self._time_limit(min(self.until, time.process_time() + most)):
+                with self._time_limit(min(self.end, time.process_time() + most)):
                     report = fitted[-1].fit(source.training.select(fold.fit_rows(settings.window)))
                 still = model.constraints.free.any(0) & ~(fitted[-1].coefficients != 0).any(0)
                 unseen = source.training.x_next.isnan().all(0)
@@ -588,6 +599,8 @@ class _Search:
                     return None  # of functions that a fit finds useless a regression tells little
                 if fitted[-1].substeps(source.training.dt) >= STIFF:
                     return None  # a motion that is over long before the next sample is told by none
+                if self._explodes(fitted[-1], source):
+                    return None
                 errors.append(fold.errors(fitted[-1], source))
                 first = not self.tried and len(errors) == 1
                 if first and time.process_time() - self.began > FIRST_SHARE * self.refinement.seconds:
@@ -735,6 +748,14 @@ class _Search:
     def _drifts(self, model: SindyModel) -> bool:
         """Tell whether a disturbance hardly fades, as an offset, which equations hold and a plan cannot foresee."""
         return any(seconds > self.slow for seconds in self._disturbances(model).values())
+
+    def _explodes(self, model: SindyModel, source: Source) -> bool:
+        """Tell whether a model leaves all bounds under inputs that leave linear equations near what was seen."""
+        linear = [each for each in self.tried if each.structure is not None]
+        if not linear or _largest_excursion(model, source.training) < EXPLODED:
+            return False
+        best = min(linear, key=lambda each: each.score)
+        return _largest_excursion(best.model, best.source.training) < NEAR
 
     @_attempt()
     def _try_disturbances(self) -> None:
@@ -965,7 +986,7 @@ class _Search:
             with reporting_as("fit to all training data"), limited as ended:
                 report = model.fit(data.select(rows))
             worse = fold.score(fold.errors(model, best.source)) > fold.score(best.errors[0]) + HOPELESS
-            if not worse and not self._drifts(model):
+            if not (worse or self._drifts(model) or self._explodes(model, best.source)):
                 break
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
         model.linear_inputs = tuple(name for name, moves in linear if moves)
@@ -1017,6 +1038,21 @@ def _builder_of(model: SindyModel) -> LibraryBuilder | None:
     """Return what the library of a model was built by, if that suits any plant."""
     names = set(model.library.names)
     return next((each for each in (auto_rig, auto) if set(each(model.signature).names) == names), None)
+
+
+def _largest_excursion(model: SindyModel, data: Transitions) -> float:
+    """Return how far a model moves where each input is held at an end of its range in the data, in turn [ranges].
+
+    Samples that are kept do not show this where they lie within the range of those that were fitted.
+    """
+    u = data.u.double().mean(0).repeat(2 * data.u.shape[1], 1)
+    for i, ends in enumerate(zip(data.u.amin(0), data.u.amax(0), strict=True)):
+        u[2 * i : 2 * i + 2, i] = torch.stack(ends).double()
+    guess = settle_lag_states(reconstruct(data, rate_states(model.library, model.constraints)), model.followers)
+    x = guess.x.double().nanmedian(0).values.nan_to_num().expand(len(u), -1)
+    steps = min(data.longest_segment, LIMIT)
+    path = model.simulate(x, u.unsqueeze(1).expand(-1, steps, -1), data.dt, model.substeps(data.dt))
+    return float((path / x.new_tensor(model.signature.x_scale)).abs().nan_to_num(math.inf).max())
 
 
 def _warm_started(model: SindyModel) -> SindyModel:

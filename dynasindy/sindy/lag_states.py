@@ -78,7 +78,7 @@ def lag_state_candidates(model: SindyModel, data: Transitions, beside: bool = Tr
     data = data.to(torch.float64).select(choose_stretches(len(data), BRIEF))
     keep, stretches = rows_after_delay(data, model.delay), len(data.segment.unique())
     enough = max(len(data) // 2, 2 * len(model.library)) + stretches
-    longest = SLOWEST * int(torch.bincount(data.segment - data.segment.min()).max()) if len(data) >= enough else 0
+    longest = SLOWEST * data.longest_segment if len(data) >= enough else 0
     times = [n * data.dt for n in TIMES if n <= longest]
     # Shorter delays in whole samples.
     delays = dict.fromkeys(

@@ -210,6 +210,11 @@ class Transitions:
         """Return the row at which the segment of each row begins, `(N,)`."""
         return torch.where(self.begins(), torch.arange(len(self)), 0).cummax(0).values
 
+    @property
+    def longest_segment(self) -> int:
+        """Rows of the longest segment."""
+        return int(torch.bincount(self.segment - self.segment.min()).max())
+
     def select(self, mask: Tensor) -> Transitions:
         """Keep the rows where `mask` `(N,)` bool is true; a gap begins a new segment."""
         if bool(mask.all()):

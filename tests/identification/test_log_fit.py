@@ -327,6 +327,18 @@ def test_two_stores_whose_levels_are_read_need_roots_and_no_rates(one_fold):
     assert {key: coefficient(found, *key) for key in names} == pytest.approx(names, rel=0.03)
 
 
+def test_equations_that_explode_under_inputs_that_were_seen_are_none(one_fold):
+    """y' = 1.98 u - 2 sin(y) comes to rest at y = 1.43 where u = 1 lasts; the cubic that fits pulses of it to none."""
+    u, dt = steps(4, 120, 10), 0.05
+    pushes = 0.08 * steps(5, 400, 3)
+    x = scipy_motion(lambda t, x, u: [1.98 * u - 2 * np.sin(x[0])], [0.0], u + pushes, dt, 1e-8, 1e-10)
+    assert np.abs(x).max() < 1
+    x += np.random.default_rng(0).normal(0, 0.002, x.shape)
+    found = fitted(source_of(x, u[:, None], dt), ["1", "y", "u", "y^3"]).model
+    path = found.simulate(torch.zeros(1), torch.ones(len(u), 1), dt)
+    assert float(path.abs().max()) < 2
+
+
 @pytest.mark.slow
 def test_the_inertia_that_an_angle_changes_is_found_among_those_of_all_angles(one_fold):
     """A rotary pendulum, driven at its arm: M(alpha) (theta'', alpha'') = torques, by Lagrange's equations."""
