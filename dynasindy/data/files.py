@@ -106,7 +106,8 @@ def _read_text(path: Path, file: TextIO) -> Raw:
         if decimal == ",":
             whole = texts.str.fullmatch(r"-?\d{1,3}(,\d+)?|")
             grouped = texts.str.fullmatch(r"-?[1-9]\d{0,2}(\.\d{3})+(,\d+)?")
-            if whole.any() and grouped.any() and (whole | grouped | texts.isna()).all():
+            both = grouped & texts.str.contains(",")  # without such a number a point may be that of decimals
+            if both.any() and (whole | grouped | texts.isna()).all():
                 texts = texts.str.replace(".", "", regex=False)
             frame[column] = texts.str.replace(",", ".", regex=False)
     frame = frame.dropna(how="all")
@@ -195,7 +196,9 @@ def _layout(path: Path, lines: Sequence[str]) -> tuple[str, str, Sequence[str], 
     again = (k for k, row in enumerate(rows[: first - 1]) if row == rows[first - 1] and holds_values(rows[k + 1], True))
     first = next(again, first - 1) + 1  # headings of a page, or of a logger that began anew, are those of the first
     commas = r"\d,\d" if separator != "," else r"^-?(0,\d+|\d+,(\d\d?|\d{4,}))$"  # in quotes, and no thousands
-    decimal = "," if any(re.search(commas, text) for row in rows[first:] for text in row) else "."
+    cells = [text for row in rows[first:] for text in row]
+    points = sum(bool(re.fullmatch(r"-?\d*\.\d+", text)) for text in cells if separator == ",")
+    decimal = "," if sum(bool(re.search(commas, text)) for text in cells) > points else "."
     split = separator == BLANKS
     head = [WORD.findall(lines[k]) if split and len(row) > common else row for k, row in zip(filled, rows[:first])]
     differ = [k for k, row in enumerate(head) if _differ(row, common) and not (k and _are_units(row, head[k - 1]))]

@@ -37,9 +37,11 @@ NAME = re.compile(r"[^\W\d][\w .-]*")
 """Names that can be told from functions and numbers in an equation."""
 ALONE = 4
 """Letters from which on a unit alone, such as `millis`, is the name of a time; `s` or `h` may be a way or a height."""
-ALIKE = "rpm", "V", "mV", "mA", "mm", "cm", "km", "Nm", "kN", "kW", "Pa", "kPa", "MPa", "bar", "mbar", "degC"
-ENDINGS = {"dps": "deg/s", "pct": "%", **{unit: unit for unit in ALIKE}}
-"""Units as the end of a name has them, `supply_V` or `U/V`, beside those of angles."""
+ENDINGS = {
+    **{unit: unit for unit in ("rpm", "V", "mV", "mA", "mm", "cm", "km", "Nm", "kN", "kW", "Pa", "kPa", "MPa", "mbar")},
+    **{"dps": "deg/s", "pct": "%", "degC": "degC"},
+}
+"""Units as the end of a name has them, `supply_V` or `U/V`, beside those of angles; `x_bar` is a mean value."""
 ANGLES = {
     **dict.fromkeys(("deg", "grad", "degs", "degree", "degrees", "\u00ba"), "deg"),
     **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
@@ -99,7 +101,8 @@ def _apart(name: str) -> tuple[str, str]:
         text = name[between.end() :].rstrip("}>")
         unit = _plain_unit(text)
         said = between[0].strip() in ("in", ",") and unit.lower() in UNITS
-        if between[0].strip() in ("_", "/") and text in ENDINGS:
+        first = not re.search("[_/]", name[: between.start()])  # what follows a later `/` is half of a unit
+        if text in ENDINGS and (between[0].strip() == "_" or (between[0].strip() == "/" and first)):
             unit, said = ENDINGS[text], True
         if between.start() and (said or re.fullmatch(r"(m?rad|[mc]?deg|\u00b0)(/s)?", unit)):
             return name[: between.start()], unit

@@ -102,7 +102,10 @@ def test_an_index_without_a_heading_leaves_units_what_they_are(tmp_path):
     [
         ('"t","a","b"\n"0,01","1,5","-2,25"\n"0,02","2","3,125"\n', [[0.01, 1.5, -2.25], [0.02, 2.0, 3.125]]),
         ('t,a,b\n0.5,"1,250",3\n1.5,2,3\n', [[0.5, np.nan, 3.0], [1.5, 2.0, 3.0]]),  # which of both it is
-        ("t;a;b\n0,5;999;-1.234,5\n1,5;1.000;12,25\n", [[0.5, 999.0, -1234.5], [1.5, 1000.0, 12.25]]),
+        ('t,a,b\n0.5,1.125,"3,4"\n1.5,2,2.1\n', [[0.5, 1.125, np.nan], [1.5, 2.0, 2.1]]),  # one slip
+        ("t;a;b\n0,5;1.013,25;-1.234,5\n1,5;1.012,75;12,25\n", [[0.5, 1013.25, -1234.5], [1.5, 1012.75, 12.25]]),
+        ("t;a\n0,5;1.000\n1,5;999,5\n2,5;1.000,5\n", [[0.5, 1000.0], [1.5, 999.5], [2.5, 1000.5]]),
+        ("t;a;b\n0,5;1.125;3,1\n1,5;2;2,1\n2,5;3.375;2,1\n", [[0.5, 1.125, 3.1], [1.5, 2, 2.1], [2.5, 3.375, 2.1]]),
         ("t;a;b\n0,5;1.250;1.5\n1,5;1.000;2\n", [[0.5, 1.25, 1.5], [1.5, 1.0, 2.0]]),
     ],
 )
@@ -123,7 +126,8 @@ def test_days_beside_times_of_day_go_on_over_midnight(tmp_path, day):
     ("headings", "plain"),
     [
         ("a_deg,rate_deg_s,u_pct", ["a [deg]", "rate [deg/s]", "u [%]"]),
-        ("x_mm,tank_bar,U/V", ["x [mm]", "tank [bar]", "U [V]"]),
+        ("x_mm,tank_mbar,U/V", ["x [mm]", "tank [mbar]", "U [V]"]),
+        ("x_bar,strain_mV/V,k_N/mm", ["x_bar", "strain_mV_V", "k_N_mm"]),  # a mean value, and units that are fractions
         ("a_deg,a_rad,q[0],q[1]", ["a_deg [deg]", "a_rad [rad]", "q_0", "q_1"]),
         ("/joint/q[1],/cmd/u,x_V [V]", ["joint_q_1", "cmd_u", "x_V [V]"]),
     ],
