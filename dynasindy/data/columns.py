@@ -132,11 +132,13 @@ def _predicted_by(driver: Array, column: Array) -> float:
     return share
 
 
-def _acts(name: str, columns: Mapping[str, Array]) -> float:
+def _most_it_predicts(name: str, columns: Mapping[str, Array]) -> float:
+    """Return the largest part of another column's variance that a column predicts."""
     return max((_predicted_by(columns[name], other) for n, other in columns.items() if n != name), default=0.0)
 
 
-def _moved(name: str, columns: Mapping[str, Array]) -> float:
+def _most_it_is_predicted(name: str, columns: Mapping[str, Array]) -> float:
+    """Return the largest part of a column's variance that another one predicts."""
     return max((_predicted_by(other, columns[name]) for n, other in columns.items() if n != name), default=0.0)
 
 
@@ -166,8 +168,9 @@ def _in_steps(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[st
     kind = {*_alike(found[0], units), *_find_similar(found[0], columns, units)}
     pair = [name for name in columns if name in kind]
     if not {*found} <= kind:  # what moves nothing, as the voltage of a battery, is no input
-        acting = {n: column for n, column in columns.items() if n not in found or _acts(n, columns) > 0}
-        return _in_steps(acting, units) if len(acting) < len(columns) else []
+        idle = [name for name in found if _most_it_predicts(name, columns) <= 0]
+        rest = {name: column for name, column in columns.items() if name not in idle}
+        return _in_steps(rest, units) if 0 < len(idle) < len(found) else []
     found = pair if len(pair) < len(columns) else found  # columns of one matrix are no pair
     return found if len(found) < len(columns) else []
 
@@ -186,7 +189,8 @@ def _find_similar(name: str, columns: Mapping[str, Array], units: Mapping[str, s
         if (differ > 1 and not in_steps) or units[each] != units[name] or _is_measured(each, units[each]):
             continue
         # No state jumps, however noisy it is.
-        if _acts(each, columns) > 2 * _moved(each, columns) and moves.max() > JUMP * np.quantile(moves, 0.95):
+        acts = _most_it_predicts(each, columns) > 2 * _most_it_is_predicted(each, columns)
+        if acts and moves.max() > JUMP * np.quantile(moves, 0.95):
             found.append(each)
     return found
 
@@ -513,8 +517,9 @@ def _guess_columns(table: Table, time: str | None, inputs: Sequence[str], left_o
     own = {name: x for h, x in columns.items() if (name := split_unit(h)[0]) not in left_out and h not in aside}
     names = [*own]
     if not inputs and names:
-        few = [name for name in names if _standing(own[name]) > HELD] or (names if len(names) <= WIDEST else names[-1:])
-        acting = max(few[::-1], key=lambda name: _acts(name, own) - _moved(name, own))
+        few = sorted((name for name in names if _standing(own[name]) > HELD), key=lambda name: -_standing(own[name]))
+        few = few or (names[::-1] if len(names) <= WIDEST else names[-1:])
+        acting = max(few, key=lambda name: _most_it_predicts(name, own) - _most_it_is_predicted(name, own))
         units = dict(map(split_unit, columns))
         first = next((name for name in names if _is_actuator(name, units[name])), acting)
         pair = [name for name in _alike(first, units) if name in names]

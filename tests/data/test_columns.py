@@ -354,6 +354,17 @@ def test_what_moves_in_steps_and_drives_nothing_hides_no_input(tmp_path):
     assert list(infer(Table.read(path))[1]) == ["setting"]
 
 
+def test_where_nothing_acts_what_moves_in_steps_is_guessed_by_how_long_it_stands_and_what_is_measured_is_none(tmp_path):
+    """Two ways that nothing drives, one of them read in steps; and a log too short to tell what drives it."""
+    rng, ways = np.random.default_rng(3), (multisine(LONG, 2), np.repeat(multisine(LONG, 5)[::20], 20))
+    long, short = (np.repeat(rng.uniform(-1, 1, len(LONG) // n), n) for n in (20, 10))
+    path = write(tmp_path / "log.csv", "time,x,encoder [mm],first,second", LONG, *ways, long, short)
+    assert refused(lambda: infer(Table.read(path))).code == "log.no_roles"
+    columns = (column[:150] for column in (LONG, ways[0], long, short))
+    path = write(tmp_path / "log.csv", "time,x,first,second", *columns)
+    assert refused(lambda: infer(Table.read(path))).values["guess"]["inputs"] == ["first"]
+
+
 def test_a_first_guess_takes_what_acts_and_neither_references_nor_what_follows_from_others(tmp_path):
     reference, noise = multisine(LONG, 2), 1e-3 * np.random.default_rng(7).normal(size=(2, len(LONG)))
     path = write(
