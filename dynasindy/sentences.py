@@ -556,8 +556,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "better: {inputs:and}",
     "fit.disturbance": "no sensor sees {state}, which pushes the plant at random and fades within {seconds:.3g} s; it "
     "is estimated from past samples, and with it the model predicts better",
-    "fit.hidden_states": "no sensor sees {states:and}, added by a linear model and estimated from past samples; so the "
-    "model predicts better",
+    "fit.hidden_states": "no sensor sees {states:and}, added by a linear model and estimated from past samples; with "
+    "them the model predicts better",
     "fit.behind": "{state} up to {seconds:time} ahead was predicted {factor:.3g} times as well by the best simple "
     "model, of past samples (ARX) or the last value held, in parts of the training data that the fit had not seen",
     "fit.budget": "the search ended after {seconds:.0f} s of computing{stopped:?(it was stopped)}; the best model "
