@@ -1045,6 +1045,8 @@ def _largest_excursion(model: SindyModel, data: Transitions) -> float:
 
     Samples that are kept do not show this where they lie within the range of those that were fitted.
     """
+    if not data.u.shape[1]:
+        return 0.0
     u = data.u.double().mean(0).repeat(2 * data.u.shape[1], 1)
     for i, ends in enumerate(zip(data.u.amin(0), data.u.amax(0), strict=True)):
         u[2 * i : 2 * i + 2, i] = torch.stack(ends).double()

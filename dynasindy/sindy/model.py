@@ -223,7 +223,8 @@ class SindyModel(WorldModel):
         double = x0.dtype == u.dtype == torch.float64 and x0.device.type == u.device.type == "cpu"
         own = type(self).forward is SindyModel.forward and not self._forward_hooks
         if self.machine_code and own and double and plain(x0, u, self.coefficients):  # nothing is compiled
-            flat = x0.reshape(-1, x0.shape[-1]), u.reshape(-1, *u.shape[-2:])
+            rows = math.prod(batch)  # without inputs, -1 in a shape would be ambiguous
+            flat = x0.reshape(rows, x0.shape[-1]), u.reshape(rows, *u.shape[-2:])
             ends = None if last is None else last.reshape(flat[1].shape)
             found = simulate(self.library, self.coefficients, *flat, dt, substeps, ends)
             return torch.cat([x0.unsqueeze(-2), found.reshape(*u.shape[:-1], -1)], -2)

@@ -339,6 +339,18 @@ def test_equations_that_explode_under_inputs_that_were_seen_are_none(one_fold):
     assert float(path.abs().max()) < 2
 
 
+def test_a_log_without_inputs_is_identified(one_fold):
+    """a' = a - a b, b' = a b - b: hares and foxes (Lotka and Volterra), counted with errors."""
+    x = scipy_motion(
+        lambda t, x, u: [x[0] * (1 - x[1]), x[1] * (x[0] - 1)], [2.0, 1.0], np.zeros(600), 0.05, 1e-8, 1e-8
+    )
+    x += np.random.default_rng(0).normal(0, 0.01, x.shape)
+    signature, no = Signature(("a", "b"), ("-", "-"), (), (2.0, 2.0)), torch.zeros(600, dtype=torch.bool)
+    data = Transitions.from_trajectory(torch.from_numpy(x), torch.zeros(600, 0, dtype=torch.float64), 0.05)
+    found = fitted(Source(signature, data, data.select(no), logged=True), seconds=8.0).model
+    assert [coefficient(found, "a", "a b"), coefficient(found, "b", "a b")] == pytest.approx([-1, 1], abs=0.05)
+
+
 @pytest.mark.slow
 def test_the_inertia_that_an_angle_changes_is_found_among_those_of_all_angles(one_fold):
     """A rotary pendulum, driven at its arm: M(alpha) (theta'', alpha'') = torques, by Lagrange's equations."""
