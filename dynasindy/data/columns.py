@@ -132,14 +132,12 @@ def _predicted_by(driver: Array, column: Array) -> float:
     return share
 
 
-def _most_it_predicts(name: str, columns: Mapping[str, Array]) -> float:
-    """Return the largest part of another column's variance that a column predicts."""
-    return max((_predicted_by(columns[name], other) for n, other in columns.items() if n != name), default=0.0)
-
-
-def _most_it_is_predicted(name: str, columns: Mapping[str, Array]) -> float:
-    """Return the largest part of a column's variance that another one predicts."""
-    return max((_predicted_by(other, columns[name]) for n, other in columns.items() if n != name), default=0.0)
+def _influence(name: str, columns: Mapping[str, Array]) -> tuple[float, float]:
+    """Return the largest part of another column's variance that a column predicts, and of its own that another does."""
+    own, others = columns[name], [column for other, column in columns.items() if other != name]
+    pairs = [(_predicted_by(own, other), _predicted_by(other, own)) for other in others]
+    acts, moved = zip(*pairs, strict=True) if pairs else ((0.0,), (0.0,))
+    return max(acts), max(moved)
 
 
 def _actuators(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[str]:
@@ -168,7 +166,7 @@ def _in_steps(columns: Mapping[str, Array], units: Mapping[str, str]) -> list[st
     kind = {*_alike(found[0], units), *_find_similar(found[0], columns, units)}
     pair = [name for name in columns if name in kind]
     if not {*found} <= kind:  # what moves nothing, as the voltage of a battery, is no input
-        idle = [name for name in found if _most_it_predicts(name, columns) <= 0]
+        idle = [name for name in found if _influence(name, columns)[0] <= 0]
         rest = {name: column for name, column in columns.items() if name not in idle}
         return _in_steps(rest, units) if 0 < len(idle) < len(found) else []
     found = pair if len(pair) < len(columns) else found  # columns of one matrix are no pair
@@ -189,8 +187,8 @@ def _find_similar(name: str, columns: Mapping[str, Array], units: Mapping[str, s
         if (differ > 1 and not in_steps) or units[each] != units[name] or _is_measured(each, units[each]):
             continue
         # No state jumps, however noisy it is.
-        acts = _most_it_predicts(each, columns) > 2 * _most_it_is_predicted(each, columns)
-        if acts and moves.max() > JUMP * np.quantile(moves, 0.95):
+        acts, moved = _influence(each, columns)
+        if acts > 2 * moved and moves.max() > JUMP * np.quantile(moves, 0.95):
             found.append(each)
     return found
 
@@ -296,8 +294,8 @@ def infer(
         lacks = "time" if not timed else "states" if found else "inputs"
         numbers = table.of_kind("constant", "counter", "moving")
         facts: dict[str, Any] = {"columns": table.headings, "numbers": numbers, "clock": clock}
-        sure = [name for name, reason in why.items() if reason in ("reference", "derived")]
-        if numbers and (guess := _guess_columns(table, clock if timed else None, found, sure))["states"]:
+        follow = [name for name, reason in why.items() if reason in ("reference", "derived")]
+        if numbers and (guess := _guess_columns(table, clock if timed else None, found, follow))["states"]:
             facts["guess"] = guess
         raise LogError("log.no_roles", path=path, lacks=lacks, left_out=out, **facts)
     moving = min((_standing(moves[name]) for name in chosen if name in moves), default=1.0) < HELD
@@ -517,9 +515,9 @@ def _guess_columns(table: Table, time: str | None, inputs: Sequence[str], left_o
     own = {name: x for h, x in columns.items() if (name := split_unit(h)[0]) not in left_out and h not in aside}
     names = [*own]
     if not inputs and names:
-        few = sorted((name for name in names if _standing(own[name]) > HELD), key=lambda name: -_standing(own[name]))
-        few = few or (names[::-1] if len(names) <= WIDEST else names[-1:])
-        acting = max(few, key=lambda name: _most_it_predicts(name, own) - _most_it_is_predicted(name, own))
+        held = sorted((name for name in names if _standing(own[name]) > HELD), key=lambda name: -_standing(own[name]))
+        candidates = held or (names[::-1] if len(names) <= WIDEST else names[-1:])
+        acting = max(candidates, key=lambda name: np.subtract(*_influence(name, own)))
         units = dict(map(split_unit, columns))
         first = next((name for name in names if _is_actuator(name, units[name])), acting)
         pair = [name for name in _alike(first, units) if name in names]

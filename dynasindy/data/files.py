@@ -104,7 +104,7 @@ def _read_text(path: Path, file: TextIO) -> Raw:
         if (broken := texts.str.contains("[\r\n]")).any():
             raise _no_table(path, f"a quote opens in line {broken.idxmax()} and does not close there")
         if decimal == ",":
-            whole = texts.str.fullmatch(r"-?\d{1,3}(,\d+)?|")
+            whole = texts.str.fullmatch(r"-?\d{1,3}(,\d+)?")
             grouped = texts.str.fullmatch(r"-?[1-9]\d{0,2}(\.\d{3})+(,\d+)?")
             both = grouped & texts.str.contains(",")  # without such a number a point may be that of decimals
             if both.any() and (whole | grouped | texts.isna()).all():

@@ -696,7 +696,7 @@ def _guess_range(low: float, high: float, unit: str) -> ActuatorScaling:
 
 
 def _with_ends(column: Column, reach: ActuatorScaling) -> Column:
-    """Return a column with these ends; an actuator reaches where it rests, whether the log has tried it or not."""
+    """Return a column with these ends and its rest, but zero; an actuator reaches where it rests, tried or not."""
     low, high = min(reach.low, reach.rest), max(reach.high, reach.rest)
     return replace(column, low=low, high=high, rest=reach.rest or None)
 
