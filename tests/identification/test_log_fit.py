@@ -347,7 +347,7 @@ def test_a_log_without_inputs_is_identified(one_fold):
     x += np.random.default_rng(0).normal(0, 0.01, x.shape)
     signature, no = Signature(("a", "b"), ("-", "-"), (), (2.0, 2.0)), torch.zeros(600, dtype=torch.bool)
     data = Transitions.from_trajectory(torch.from_numpy(x), torch.zeros(600, 0, dtype=torch.float64), 0.05)
-    found = fitted(Source(signature, data, data.select(no), logged=True), seconds=8.0).model
+    found = fitted(Source(signature, data, data.select(no), logged=True), ["1", "a", "b", "a b"]).model
     assert [coefficient(found, "a", "a b"), coefficient(found, "b", "a b")] == pytest.approx([-1, 1], abs=0.05)
 
 
