@@ -220,7 +220,7 @@ SEPARATE = 1e6
 
 def _identifiability(rank: int, count: int, condition: float, weakest: Mapping[str, float], read: Sequence[str]) -> str:
     if rank < count:
-        which = f"{count - rank} of {count} candidate functions"
+        which = f"{count - rank} of the {count} candidate functions that each equation may have"
         return f"{which} cannot be told apart from others by these data: excite {', '.join(read)} more, or otherwise"
     known = f"condition number {condition:.2g}"
     if condition < SEPARATE:
@@ -319,7 +319,21 @@ PERIODS = {
 def _stability(**facts: Any) -> str:
     if not facts["unstable"]:
         return _fill(STABLE, {"neutral": False, **facts})
-    return _fill(AT_REST if facts["at_rest"] else UNSTABLE, facts)
+    ends = ENDS if math.isfinite(facts["ends"]["error"]) else "{ends[output]} runs away"
+    swings = SWINGS if math.isfinite(facts["swing"]["error"]) else "{swing[output]} runs away or swings ever more"
+    course = _fill(f"{ends}, and {swings}", facts)
+    return _fill(AT_REST if facts["at_rest"] else UNSTABLE, {"course": course, **facts})
+
+
+def _coefficients(how: str, unstable: int, plants: int, radius: float, ran_away: int, **facts: Any) -> str:
+    fate = "all are stable" if not unstable else f"{unstable} {'is' if unstable == 1 else 'are'} not stable"
+    size = f"a spectral radius of up to {radius:.6g}" if math.isfinite(radius) else "no equilibrium in places"
+    rest = ", and the steady error is {error:.3g}{unit:unit} of {output} at most" if unstable < plants else ""
+    rest += " where they are" if rest and unstable else ""
+    away = f"{ran_away or 'none'} of them run{'s' * (ran_away < 2)} away in the step of steps.png"
+    said = f"of {plants} plants with coefficients drawn {how}, at {{held}} targets where the model is stable"
+    where = f"{said}, {fate}, with {size}{rest}; {away}"
+    return _fill(f"{where}; threshold: stable, {{limit:.3g}}{{unit:unit}}", facts)
 
 
 def _margin(form: str) -> Callable[..., str]:
@@ -339,17 +353,19 @@ STABLE = (
     "{neutral:?(beside a motion that neither grows nor dies out)}"
 )
 UNSTABLE = (
-    "NOT stable at {unstable} of {targets} targets of {outputs:and}, at ({target:list}) for one, with no rest at "
-    "{restless} of them; simulated there for {seconds:time}, {ends[output]} ends within {ends[error]:.3g} {ends[unit]} "
-    "of its target, and {swing[output]} swings by {swing[error]:.3g} {swing[unit]} to either side (inf: it runs away, "
-    "or its swings grow), {swing[share]:percent} of its target range, and {input} by {input_swing:.2g}; thresholds: "
-    "spectral radius < 1, or swings of {swing_limit:percent}"
+    "NOT stable at {unstable} of {targets} targets of {outputs:and}, at ({target:list}) for one, with no equilibrium "
+    "at {restless} of them; simulated there for {seconds:time}, {course}; thresholds: spectral radius < 1, or swings "
+    "of {swing_limit:percent}"
+)
+ENDS = "{ends[output]} ends within {ends[error]:.3g}{ends[unit]:unit} of its target"
+SWINGS = (
+    "{swing[output]} swings by {swing[error]:.3g}{swing[unit]:unit} to either side, {swing[share]:percent} of its "
+    "target range, and {input} by {input_swing:.2g}"
 )
 AT_REST = (
     "at rest at {unstable} of {targets} targets of {outputs:and}, at ({target:list}) for one, as dry friction or a "
     "dead zone may hold the plant, but NOT stable there for movements of {swing_limit:percent} of the range, and no "
-    "margins are known; simulated there for {seconds:time}, {ends[output]} ends within {ends[error]:.3g} {ends[unit]} "
-    "of its target"
+    f"margins are known; simulated there for {{seconds:time}}, {ENDS}"
 )
 NOISE = "noise of the sensors moves {input} by {value:.3g} (standard deviation); threshold: {limit:g}"
 NO_NOISE = "not known, as the controller's file states none of sensors; a run with sensors=bench, or on a log, does"
@@ -481,8 +497,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "it does not, as a valve from 0 to 1, say so: {inputs:data.inputs}",
     "log.scaled": "{input} is taken into [-1, 1], where planning needs it: 0 is {rest:.6g}{unit:unit}, 1 is "
     "{one:.6g}{unit:unit}; a controller keeps it from {low:.6g} to {high:.6g}{unit:unit}",
-    "log.guessed_ends": "these are the ends of the log, of inputs named alike together; if an actuator goes further, "
-    "or rests elsewhere, give its own, and low: -1, high: 1 keeps the numbers as they are: {inputs:data.inputs}",
+    "log.guessed_ends": "these limits are guessed from the least and largest values in the log, of inputs with like "
+    "names together. If an actuator reaches further, or rests elsewhere, correct them here; low: -1, high: 1 leaves an "
+    "input unscaled: {inputs:data.inputs}",
     "log.resolution": "{state} is read in steps of {step:.3g}{unit:unit}{coarse:?(a sensor that cuts off reads half a "
     "step too low, which no standard error tells)}",
     "log.repeats": "the log repeats itself every {seconds:time}, so what was kept from the fit is like what it saw and "
@@ -612,13 +629,10 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "check.slew": "{input} changes by up to {value:.3g} in a period of steps from {begin}; threshold: {limit:g}",
     "check.saturation": "in steps from {begin} {input} is at its limit for up to {value:percent} of {seconds:time}; "
     "threshold: {limit:percent}",
-    "check.coefficients": "{plants} plants with other coefficients, {how}, at {held} targets where the model itself is "
-    "stable: {unstable} are not stable, at worst with a spectral radius of {radius:.6g} (inf: no rest); of those that "
-    "come to rest a steady error of at most {error:.3g}{unit:unit} of {output}, and {ran_away} run away in the step of "
-    "steps.png; threshold: stable, {limit:.3g}{unit:unit}",
-    "check.recovery": "comes back from errors of up to {reach:|# times }the typical size of each state: "
-    "{shares:shares}, of {tried} errors each, or of the smaller of these if fewer of them come back, and rests with an "
-    "error of {error:.3g}{unit:unit} of {output}; threshold: {limit:percent}",
+    "check.coefficients": _coefficients,
+    "check.recovery": "of {tried} initial errors each, of up to {reach:|# times }the typical size of each state, the "
+    "loop comes back from {shares:shares} (or from that share of the smaller ones, if it is less), and rests within "
+    "{error:.3g}{unit:unit} of the target of {output}; threshold: {limit:percent}",
     # a run
     "plant.coarse_steps": _coarse_steps,
     "plant.longer_episodes": "episodes have {steps} control periods (<task.max_steps>), and the environment is "
@@ -672,7 +686,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "control.restless": "at rest {input} still changes by {percent:.2g} % of its range from period to period, on "
     "average: see that the actuator stands it",
     "control.beyond_targets": "references of {output} in scenario '{scenario}' go from {least:.3g} to "
-    "{most:.3g}{unit:unit}, its targets from {low:.3g} to {high:.3g}{unit:unit}: train with <plant.signals=null> to "
-    "keep within these",
+    "{most:.3g}{unit:unit}, and the controller was made for {low:.3g} to {high:.3g}{unit:unit}: if it is to follow "
+    "these, make one for a wider range of targets",
 }
 """What is said of each finding: a template, or a function of its values."""

@@ -190,7 +190,7 @@ def fit_log(model: SindyModel, source: Source) -> LogFit:
         ValueError: the model refuses the data.
         Diverged: a coefficient is not finite.
     """
-    began = time.perf_counter()
+    began = time.process_time()
     report_progress("fit")
     settings = model.refinement
     free = settings is not None and settings.method == "auto" and settings.error is None
@@ -199,7 +199,7 @@ def fit_log(model: SindyModel, source: Source) -> LogFit:
     if settings is not None and searched and (folds := HoldOut.folds(source)):
         search = _Search(model, settings, source, folds)
         if free and (found := search.run()) is not None:
-            return replace(found, report=replace(found.report, seconds=time.perf_counter() - began))
+            return replace(found, report=replace(found.report, seconds=time.process_time() - began))
         model, source = (model, source) if free else search.with_rates()
     return LogFit(model, source, model.fit(source.training))
 

@@ -64,7 +64,9 @@ def model_findings(forecasts: ForecastErrors, signature: Signature) -> list[Find
     reach = next((k - 1 for k in range(forecasts.middle + 1, len(enough)) if not enough[k]), len(enough) - 1)
     exact = (forecasts.model <= RESOLVED * forecasts.resolution)[reach] & ~forecasts.held[reach].isnan()
     names = _names(signature, exact)
-    return [*better, note("model.predicts", seconds=forecasts.horizons[reach], exact=names, behind=bool(better))]
+    behind = any(each.severity != "note" for each in better)
+    predicts = note("model.predicts", seconds=forecasts.horizons[reach], exact=names, behind=behind)
+    return [*better, predicts] if behind else [predicts, *better]
 
 
 def _predicted(forecasts: ForecastErrors) -> Tensor:
@@ -98,7 +100,8 @@ def linear_better(forecasts: ForecastErrors, signature: Signature) -> list[Findi
     """Return which states a linear model on past samples predicts better: what it knows of the past, the model lacks.
 
     Each stands with the shortest horizon over which the model has far larger errors, and then it is wrong, or else over
-    which they are larger. A linear model that is no better than the last value held knows nothing.
+    which they are larger. A linear model that is no better than the last value held knows nothing, and one that is
+    ahead at the shortest horizon alone, by less than the sensor resolves, is a note.
 
     Args:
         forecasts: Errors of the model and of the linear one.
@@ -118,7 +121,8 @@ def linear_better(forecasts: ForecastErrors, signature: Signature) -> list[Findi
         k, far = places[0], bool(worse[0])
         facts = {"state": signature.state_names[i], "unit": signature.state_units[i], "far": far}
         errors = {"error": float(forecasts.model[k, i]), "linear": float(forecasts.linear[k, i])}
-        finding = wrong if far else weak
+        slight = worse[2] == [0] and errors["error"] - errors["linear"] <= RESOLVED * float(forecasts.resolution[i])
+        finding = wrong if far else note if slight else weak
         findings.append(finding("model.linear_better", seconds=forecasts.horizons[k], **facts, **errors))
     return findings
 

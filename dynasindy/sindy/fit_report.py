@@ -48,7 +48,7 @@ class FitReport:
         library: candidate functions, with the numbers inside fitted factors.
         coefficients: Xi, `(n_features, n_x)`.
         factor: of averaged functions and rates of change.
-        seconds: wall time [s].
+        seconds: CPU time [s].
         samples: number of transitions behind the fit.
         missed: part of each state's change that predictions of single steps miss, where these were fitted.
         findings: what a reader would not expect.
@@ -134,7 +134,7 @@ class FitReport:
     def to_text(self) -> str:
         """Write the report in a few lines."""
         each = f" of {self.dt:g} s" if self.dt else ""
-        lines = [f"fit of {self.samples} transitions{each}, which took {self.seconds:.3g} s"]
+        lines = [f"fit of {self.samples} transitions{each}, which took {self.seconds:.3g} s of computing"]
         counts = {name: f"{count} term{'s' * (count != 1)}" for name, count in self.terms.items()}
         moves, it = ("'", "it") if self.library.step is None else ("[k+1] - {0}[k]", f"it, {CHANGE},")
         simulated = any(each.code == "fit.trajectories" for each in self.findings)  # then it is noise of single samples

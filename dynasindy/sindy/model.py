@@ -330,7 +330,7 @@ class SindyModel(WorldModel):
 
     def _identify(self, transitions: Transitions, cut_before: bool) -> FitReport:
         """Fit to transitions alone; a library that was `cut_before` is cut again: the whole one may take too long."""
-        start = time.perf_counter()
+        start = time.process_time()
         data, constraints, cut = self._checked(transitions), self.constraints, list[Finding]()
         rates, first = rate_states(self.library, constraints), None
         guess = settle_lag_states(reconstruct(data, rates), self.followers)
@@ -375,7 +375,7 @@ class SindyModel(WorldModel):
             self.library,
             self.coefficients.clone(),
             factor,
-            time.perf_counter() - start,
+            time.process_time() - start,
             # The factor may be that of fewer rows, each of them the average of many transitions.
             int(rows_after_delay(data, self.delay).sum()),
             refined.missed,

@@ -39,7 +39,7 @@ def draw_identification(found: Identified, folder: Path, formats: Sequence[str] 
     figures = {"training_data": training_data(time, training.x, training.u, names, segment=training.segment)}
     if len(validation):
         shown = later, validation.x_next, found.predicted, names, title, validation.segment, truth
-        figures["prediction"] = prediction(*shown)
+        figures["prediction"] = prediction(*shown, u=validation.u)
     return style.save_figures(figures, folder, formats)
 
 
@@ -90,8 +90,9 @@ def prediction(
     title: str = "Model prediction against the plant",
     segment: ArrayLike | None = None,
     truth: str = "real",
+    u: ArrayLike | None = None,
 ) -> Figure:
-    """Draw free-running prediction of measured states against the plant, each panel with its error.
+    """Draw free-running prediction of measured states against the plant, each panel with its error, and the inputs.
 
     The error is told in percent of the range, the largest minus the smallest value, of the plant's own curve in that
     panel, and how wide that is.
@@ -104,14 +105,16 @@ def prediction(
         title: of the figure.
         segment: `(T,)` number of the unbroken stretch of each sample; lines break between them.
         truth: What the model is compared with: "real" states, the "plant", or a "log".
+        u: `(T, n_u)` inputs in [-1, 1], each held up to the time of its row, below the states; none if omitted.
     """
     seconds, truths, model = style.array(time), style.array(real), style.array(predicted)
     x = _broken(seconds, segment)
     whose = "the real range" if truth == "real" else f"the {truth}'s range"
     seen, title = _seen(truths, signature, title)
     names, units = ([kind[i] for i in seen] for kind in (signature.state_names, signature.state_units))
-    figure, axes = style.time_panels(names, units, title)
-    for axis, unit, course, ended in zip(axes, units, truths[:, seen].T, model[:, seen].T, strict=True):
+    inputs = () if u is None else signature.input_names
+    figure, axes = style.time_panels([*names, *inputs], [*units, *("-" for _ in inputs)], title)
+    for axis, unit, course, ended in zip(axes, units, truths[:, seen].T, model[:, seen].T, strict=False):
         known = course[~np.isnan(course)]
         wide = float(np.ptp(known))
         whole = (f"{wide:.0f}" if wide >= 100 else f"{wide:.3g}") + unit_suffix(unit)
@@ -126,6 +129,10 @@ def prediction(
             both, room = np.concatenate([known, ended[np.isfinite(ended)]]), (BEYOND - MARGIN) * wide
             low, high = max(both.min(), known.min() - room), min(both.max(), known.max() + room)
             axis.set_ylim(float(low - MARGIN * wide), float(high + MARGIN * wide))
+    if u is not None:
+        begin = x - np.diff(seconds[:2]).sum()
+        for i, axis in enumerate(axes[len(seen) :]):
+            style.draw_input(axis, begin, _broken(style.array(u), segment), signature, i, color=style.BLUE)
     _finish(figure, seconds, segment)
     return figure
 

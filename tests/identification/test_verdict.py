@@ -75,6 +75,10 @@ def test_a_linear_model_that_is_better_is_said_to_be():
         promise,
     ]
     assert model_findings(forecasts(0.04, linear=0.0395), SIGNATURE) == [alone]
+    for early, codes in ((0.004, "predicts linear_better"), (0.008, "linear_better predicts")):  # at 0.2 s alone
+        simple = forecasts(0.002, linear=1.0)
+        simple.model[0, 0], simple.linear[0, 0], simple.held[0, 0] = early, 0.6 * early, 0.1
+        assert [each.code for each in model_findings(simple, SIGNATURE)] == [f"model.{each}" for each in codes.split()]
     assert model_findings(forecasts(0.04, linear=0.01), SIGNATURE) == [
         wrong("model.linear_better", **better(0.04, 0.01), far=True),
         weak("model.incomplete", seconds=2.0),
