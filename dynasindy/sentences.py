@@ -221,7 +221,7 @@ SEPARATE = 1e6
 def _identifiability(rank: int, count: int, condition: float, weakest: Mapping[str, float], read: Sequence[str]) -> str:
     if rank < count:
         which = f"{count - rank} of the {count} candidate functions that each equation may have"
-        return f"{which} cannot be told apart from others by these data: excite {', '.join(read)} more, or otherwise"
+        return f"{which} cannot be told apart from others by these data: let {', '.join(read)} move more, or otherwise"
     known = f"condition number {condition:.2g}"
     if condition < SEPARATE:
         return f"the data can tell all {count} candidate functions apart ({known}; below {SEPARATE:,.0f} is good)"
@@ -368,10 +368,10 @@ AT_REST = (
     f"margins are known; simulated there for {{seconds:time}}, {ENDS}"
 )
 NOISE = "noise of the sensors moves {input} by {value:.3g} (standard deviation); threshold: {limit:g}"
-NO_NOISE = "not known, as the controller's file states none of sensors; a run with sensors=bench, or on a log, does"
+NO_NOISE = "not known: the file of the controller states none; that of a run with sensors=bench, or on a log, does"
 
 _GENTLE = "Where <plant.rates> names rates, try <task.reward.rate_weight=100>, by which quick movements cost more"
-_NARROWER = "Leave these targets out, of which there are few: low= and high= show at once what that gains"
+_NARROWER = "Leave these few targets out: low= and high= show at once what that gains"
 _VARIED = "try <planning.gain_range=0.5>, by which training varies its inputs more"
 _CAREFUL = f"{_GENTLE}. On any plant, {_VARIED}"
 REMEDIES = {
@@ -597,7 +597,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         + f"; the last value held misses {', '.join(map(error_of, held.values()))}"
     ),
     "model.unstable_plant": lambda states, seconds: (
-        f"a linear model on past samples lets {' and '.join(states)} run away, too, as a pole does that falls"
+        f"a linear model on past samples lets {' and '.join(states)} run away, too, as a falling pole does"
         + f"; for {format_duration(seconds)} this model has half of the error of the last value held" * bool(seconds)
     ),
     "model.linear_better": "a linear model on past samples predicts {state} {seconds:time} ahead to {linear:error}"
@@ -626,7 +626,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "check.noise": lambda known=True, **facts: _fill(NOISE if known else NO_NOISE, facts),
     "check.steady_error": "in steps from {begin} at most {error:.3g}{unit:unit} of {output}; threshold: "
     "{limit:.3g}{unit:unit}",
-    "check.slew": "{input} changes by up to {value:.3g} in a period of steps from {begin}; threshold: {limit:g}",
+    "check.slew": "in steps from {begin} {input} changes by up to {value:.3g} from one control period to the next; "
+    "threshold: {limit:g}",
     "check.saturation": "in steps from {begin} {input} is at its limit for up to {value:percent} of {seconds:time}; "
     "threshold: {limit:percent}",
     "check.coefficients": _coefficients,

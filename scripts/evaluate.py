@@ -44,7 +44,7 @@ def main(cfg: Any) -> None:
         rerun = partial(evaluate, env, policy, scenario, observer) if env.system.known else None
         _, verdict = judge_control([judge_tracking(result, system, rerun)], within)
         verdicts.append(f"  {scenario.name}: {verdict}")
-    say("Verdict, against the error that was asked for:", *verdicts, f"Figures, tables and trajectories: {out}")
+    say("Verdict in each scenario:", *verdicts, f"Figures, tables and trajectories: {out}")
 
 
 if __name__ == "__main__":

@@ -342,8 +342,8 @@ def table(forecasts: ForecastErrors, signature: Signature) -> list[str]:
     ):
         if np.isnan(columns[-1]).all():
             continue
-        fine = "whose sensor shows no noise"
-        fine = fine if finest < FINEST * scale else f"read to {error_of(finest)} by its sensor"
+        fine = "its sensor shows no noise"
+        fine = fine if finest < FINEST * scale else f"its sensor resolves {error_of(finest)}"
         cells = [[error_of(math.inf if e > LOST * scale else e) for e in errors] for errors in columns]
         rows = pd.DataFrame(dict(zip(kinds, cells, strict=True)), heads).to_string(col_space=11)
         text += [f"  {name} [{unit}], {fine}", *(f"    {row}" for row in rows.split("\n"))]

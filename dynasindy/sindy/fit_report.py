@@ -139,8 +139,8 @@ class FitReport:
         moves, it = ("'", "it") if self.library.step is None else ("[k+1] - {0}[k]", f"it, {CHANGE},")
         simulated = any(each.code == "fit.trajectories" for each in self.findings)  # then it is noise of single samples
         for state, part in self.residual.items():
-            left = f"{100 * part:.3g} % of {it} stays unexplained (RMS), noise of the samples included"
-            left = f"nothing of {it} stays unexplained" if part <= EXACT else left  # what is not a number is not exact
+            left = f"{100 * part:.3g} % of {it} is left over (RMS), sensor noise included"
+            left = f"nothing of {it} is left over" if part <= EXACT else left  # what is not a number is not exact
             missed = "" if simulated else f"; {left}"
             lines.append(f"  {state}{moves.format(state)}: {counts[state]}{missed}")
         lines += [*map(str, self.accuracy), *(each.line() for each in self.findings), str(self.identifiability)]

@@ -113,7 +113,7 @@ def test_measured_states_that_are_predicted_are_those_to_keep_beside_others_that
 def test_the_table_holds_measured_states_alone():
     head, state, kinds, *rows = table(forecasts(0.002), SIGNATURE)[:6]
     assert "past" in head and kinds.split() == ["model", "linear", "model", "last", "value", "held"]
-    assert state == "  q [rad], read to 0.0015 by its sensor"
+    assert state == "  q [rad], its sensor resolves 0.0015"
     assert rows[1].split() == ["2", "s", "0.002", "1", "0.1"]
     assert not any("v [" in line for line in table(forecasts(0.002), SIGNATURE))
     slow = replace(forecasts(0.002), horizons=(60.0, 300.0, 1200.0))
