@@ -72,7 +72,8 @@ def _reference() -> str:
 
 
 def _formulas(text: str) -> str:
-    return MATH.sub(lambda found: convert(found[1]), text)
+    # In a span, as Markdown ends a paragraph where a line begins with <math>.
+    return MATH.sub(lambda found: f"<span>{convert(found[1])}</span>", text)
 
 
 def _named(text: str) -> str:
