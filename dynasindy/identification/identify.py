@@ -185,7 +185,7 @@ class Identified(LogFit):
             *(each.line("found") for each in self.content),
             "",
             *(table(forecasts, source.signature) if forecasts is not None else []),
-            "one prediction of all data that the fit did not see, begun anew after gaps, relative to the standard "
+            "error of one prediction of all data that the fit did not see, begun anew after gaps, in % of the standard "
             "deviation of each state",
         ]
         for state, error in self.metrics["open_loop_nrmse"].items():
@@ -329,7 +329,7 @@ def table(forecasts: ForecastErrors, signature: Signature) -> list[str]:
     kinds = {"model": forecasts.model, "linear model": forecasts.linear, "last value held": forecasts.held}
     heads = [format_duration(horizon, max(forecasts.horizons)) for horizon in forecasts.horizons]
     text = [
-        f"RMS error over some time of predictions that begin at {forecasts.starts} samples which the fit did not see; "
+        f"RMS error so far ahead, of predictions from {forecasts.starts} samples that the fit did not see; "
         f"the linear model predicts from {forecasts.order} past sample{'s' * (forecasts.order > 1)}"
     ]
     for name, unit, scale, finest, *columns in zip(
