@@ -38,7 +38,7 @@ from dynasindy.identification.recording_diagnostics import low_signal_findings
 from dynasindy.identification.source import PERIOD, Source, closest_period, rates_of
 from dynasindy.identification.targets import targets_like
 from dynasindy.planning import GradientPlanning
-from dynasindy.planning.gradient_planning import ACCEPTABLE_ERROR
+from dynasindy.planning.gradient_planning import ACCEPTABLE_ERROR, LONGEST
 from dynasindy.progress import say
 from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
 from dynasindy.sentences import command_word, lines
@@ -96,6 +96,8 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
         lacking, words = "model.unexplained" in [f["code"] for f in metrics["findings"]], job.overrides.task
         error = metrics["imagined_error"] or 0.0
         longer = f"plans longer: errors in the model are {100 * error:.2g} %" if error > ACCEPTABLE_ERROR else ""
+        if longer and (window := metrics["planning"]["window"]) > LONGEST:  # by which shorter ones were of no use
+            words = [*without(words, "planning.window"), f"planning.window={window}"]
         say(improvements(folder, words, recipe.train.episodes, written, longer, lacking))
     good = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve
     return good and (controlled or not cfg.evaluation.get("must_control"))

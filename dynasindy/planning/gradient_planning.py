@@ -237,7 +237,8 @@ class GradientPlanning(Planner):
         suited = choose_plan_settings(self.env, rests, self.finest)
         # Steps of a longer phase stay long for longer, and so do tests that are no better.
         patience = suited.patience * max(1, self.given.get("updates", 0) // max(1, suited.updates))
-        self.pace = pace = replace(suited, **{"patience": patience, **self.given})
+        window = max(suited.window, min(self.pace.window, suited.longest))  # a longer one was of use
+        self.pace = pace = replace(suited, **{"patience": patience, "window": window, **self.given})
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, 0.3 * pace.lr)
         self.centre, untouched = None, copy.deepcopy(self.network.state_dict())
@@ -248,10 +249,7 @@ class GradientPlanning(Planner):
                 if first:  # the kinks of an untrained policy lie about zero, wherever it is to act
                     weight, bias = self.network.layers()[0]
                     bias.sub_(weight @ self.centre)
-        # Each moves an equal share, so that no policy can exploit the errors of one.
-        models = [None, *self.others][: self.rollouts]
-        shares = torch.arange(self.rollouts).tensor_split(len(models))
-        episodes = [_Episodes(self, model, len(share)) for model, share in zip(models, shares, strict=True)]
+        episodes = self._begin_episodes()
         rows = self.held_out
         rows.reach, rows.strength, rows.late, self.margin_cost = episodes[0].rows.reach, None, None, None
         if rests is not None and self.input_delay:  # three episodes in time and three that are late, in turn
@@ -262,7 +260,7 @@ class GradientPlanning(Planner):
         if begun.afar:
             updates, lr = pace.updates, pace.lr  # a way from afar is new, in a later phase too
         if begun.afar or was_afar:
-            self.pace = pace = replace(pace, window=self.given.get("window", LONGEST), afar=True)
+            self.pace = pace = replace(pace, window=self.given.get("window", LONGEST), afar=True, longest=0)
         best = begun.score
         # A way from afar is timed for the inputs of the model; weaker or later ones would take another way.
         if pace.afar:
@@ -282,18 +280,26 @@ class GradientPlanning(Planner):
         except Diverged:
             self.network.load_state_dict(untouched)
             raise
+        gain, longest = parts[-1].score - best, 0 if "window" in self.given else pace.longest
         for k in range(0 if "updates" in self.given else ROUNDS):
             if rests is None:
                 break
             leaving = self._leaving_share()
             if not leaving and (self.steady_state_error() or 0.0) <= ACCEPTABLE_ERROR:
                 break
+            lr = pace.lr * FALL ** (k + 1)
             # The law of the model, where that is better than what the gradient has found and nobody rules it out.
             if not held and self.given.get("warm_start", True):
                 parts.append(hold(self, rests))
                 held, before = True, self.test()
             else:
                 before = parts[-1].score
+                # Of a motion that is slower than the window most is behind it, of which the gradient tells nothing.
+                if gain <= GAIN * abs(before) and self.pace.window < longest:
+                    self.pace, lr = replace(self.pace, window=longest), pace.lr
+                    strength, episodes = episodes[0].rows.strength, self._begin_episodes()
+                    for each in episodes:
+                        each.vary(strength)
             # As long as those of the first phase: what it has not reached, the few updates of a later one do not.
             # Targets come before margins, and so do bounds, which weaker inputs may not be able to keep.
             self.margin_cost = None
@@ -303,12 +309,13 @@ class GradientPlanning(Planner):
                 for each in episodes:
                     each.vary(None)
                 before = self.test()
-            parts.append(self._descend(episodes, before, pace.updates, pace.lr * FALL ** (k + 1), held))
+            parts.append(self._descend(episodes, before, pace.updates, lr, held))
+            gain = parts[-1].score - before
             if leaving and self._leaving_share() >= leaving:  # no policy keeps them
                 self.network.load_state_dict(weights)
                 rows.strength, rows.late = varied
                 break
-            if k >= LEAST and parts[-1].score - before <= GAIN * abs(before):
+            if k >= LEAST and gain <= GAIN * abs(before) and self.pace.window >= longest:
                 break
         if rests is None and self.searches:  # there is no rest that ways could have been searched to
             parts.append(improve(self))
@@ -317,6 +324,15 @@ class GradientPlanning(Planner):
                 network.load_state_dict(self.network.state_dict())
         self.imagined_error = None if rests is None else self.steady_state_error()
         return Planned(sum(part.imagined for part in parts), sum(part.updates for part in parts))
+
+    def _begin_episodes(self) -> list[_Episodes]:
+        """Begin the imagined episodes; where a window is longer than any that a phase begins with they are fewer."""
+        window = LONGEST if "window" in self.given else self.pace.window
+        number = max(1, self.rollouts * LONGEST // max(LONGEST, window))  # so that an update costs no more
+        # Each moves an equal share, so that no policy can exploit the errors of one.
+        models = [None, *self.others][:number]
+        shares = torch.arange(number).tensor_split(len(models))
+        return [_Episodes(self, model, len(share)) for model, share in zip(models, shares, strict=True)]
 
     def settings(self) -> dict[str, Any]:
         """Return the settings of the latest phase and why they are so."""
@@ -409,7 +425,7 @@ class GradientPlanning(Planner):
                     break
         self.network.load_state_dict(best_weights)
         if best == -math.inf or not (made or held or self.pace.afar):
-            lost, windows = sum(each.diverged for each in episodes), done * self.rollouts
+            lost, windows = sum(each.diverged for each in episodes), done * sum(each.number for each in episodes)
             mend = (
                 f"check the task's reward and shorten {setting('planning.window')}, or lower {setting('planning.lr')}"
             )
@@ -422,7 +438,7 @@ class GradientPlanning(Planner):
                 f"planning by gradient: {made} of {done} updates had a finite gradient, {lost} of {windows} imagined "
                 f"windows diverged, and no policy has a finite return, so the actor is left as it was; {mend}"
             )
-        return Imitation(best, done * self.rollouts * self.pace.window, made)
+        return Imitation(best, done * sum(each.number for each in episodes) * self.pace.window, made)
 
     def _lack(self) -> float:
         """Return what the policy lacks of its margins, of which later updates follow the gradient."""

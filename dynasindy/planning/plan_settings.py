@@ -40,7 +40,7 @@ TIME_CONSTANTS = 7.0
 WINDOW = 20
 """Windows are multiples of so many control periods."""
 LONGEST = 80
-"""Longest window that follows from a model."""
+"""Longest window that a phase begins with; where that gains nothing, the slowest mode is planned over whole."""
 UNTOLD = 100
 """Window where nothing tells how long what is done now matters; Pendulum-v1 is swung up by its own reward with it, and
 not with 60."""
@@ -60,6 +60,7 @@ class PlanSettings:
 
     Attributes:
         window: Control periods that a gradient reaches back.
+        longest: Those by which the slowest motion of the regulated plant, or nearly the episode, is over; 0 of none.
         lr: Learning rate of the first phase.
         updates: Gradient updates of the first phase.
         patience: Tests in a row without improvement after which a phase ends.
@@ -79,6 +80,7 @@ class PlanSettings:
     why: str = "as for the twin rotor"
     afar: bool = False
     gain_range: float = MARGIN
+    longest: int = 0
 
 
 def find_task_equilibria(env: ControlEnv) -> Equilibria | None:
@@ -119,10 +121,12 @@ def choose_plan_settings(env: ControlEnv, rests: Equilibria | None, finest: int 
     grown = max(growth(a, scale, seconds, step) for a in slopes)
     fastest = max(float(modes(a).abs().max()) for a in slopes)
     substeps = substeps_for(fastest * env.dt, STEP) if step is None else 1
-    regulator, window, loop = Regulator.of(env, rests), 60, "no linear regulator holds it"
+    regulator, window, longest, loop = Regulator.of(env, rests), 60, 0, "no linear regulator holds it"
     if regulator is not None:
         slowest = regulator.slowest
-        window = max(2 * WINDOW, min(WINDOW * round(TIME_CONSTANTS * slowest / WINDOW), LONGEST))
+        over = max(2 * WINDOW, WINDOW * round(TIME_CONSTANTS * min(slowest, env.task.max_steps) / WINDOW))
+        # Shorter than an episode, so that every second one begins where the plant has come to.
+        window, longest = min(over, LONGEST), min(over, env.task.max_steps - WINDOW)
         loop = f"under a linear regulator its slowest motion has a time constant of {slowest:.3g} control periods"
     grows, narrow = grown > GROWN, ""
     if regulator is not None and not grows:  # answers of a policy beyond what an input may use teach nothing
@@ -131,7 +135,7 @@ def choose_plan_settings(env: ControlEnv, rests: Equilibria | None, finest: int 
         share = float(((limits[1] - limits[0]) / (ends[:, 1] - ends[:, 0])).min())
         narrow = f"an input may use {100 * share:.2g} % of its range only" if share < NARROW else ""
     why = "; ".join(filter(None, (_fate(slopes, grown, seconds, step), loop, never, narrow)))
-    settings = PlanSettings(window=window, substeps=substeps, warm_start=bool(narrow), why=why)
+    settings = PlanSettings(window=window, substeps=substeps, warm_start=bool(narrow), why=why, longest=longest)
     return replace(settings, lr=3e-3, updates=200, warm_start=regulator is not None) if grows else settings
 
 

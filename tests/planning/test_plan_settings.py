@@ -7,8 +7,10 @@ import torch
 from plants import Linear, Plant
 from scipy.linalg import solve_discrete_are
 
+from dynasindy.agents import Actor
 from dynasindy.control.period import _settles
 from dynasindy.envs import ControlEnv, RandomStep, Tracking, TrackingReward
+from dynasindy.planning import GradientPlanning
 from dynasindy.planning.plan_settings import PlanSettings, choose_plan_settings, find_task_equilibria
 from dynasindy.systems import Tras, Xi
 
@@ -18,10 +20,14 @@ def spring(stiffness, damping, pull):
     return Linear([[0.0, 1.0], [stiffness, -damping]], [[0.0], [pull]], names="xv")
 
 
-def pace(plant, dt=0.05, low=(-0.5,), high=(0.5,), outputs=("x",), rates=("v",)):
-    task = Tracking(plant.signature, RandomStep(low, high), outputs, rates, TrackingReward((4.0,)), low=low, high=high)
-    env = ControlEnv(plant, task, dt, 1)
-    return choose_plan_settings(env, find_task_equilibria(env))
+def imagined(plant, dt=0.05, low=(-0.5,), high=(0.5,), outputs=("x",), rates=("v",), max_steps=400):
+    ends = {"low": low, "high": high, "max_steps": max_steps}
+    task = Tracking(plant.signature, RandomStep(low, high), outputs, rates, TrackingReward((4.0,)), **ends)
+    return ControlEnv(plant, task, dt, 1)
+
+
+def pace(*made_of, **more):
+    return choose_plan_settings(env := imagined(*made_of, **more), find_task_equilibria(env))
 
 
 @pytest.mark.parametrize("plant", [Tras, Xi])
@@ -30,7 +36,7 @@ def test_the_twin_rotor_keeps_the_settings_that_it_was_measured_with(plant):
         plant(), low=(-0.5, -0.5), high=(0.5, 0.4), outputs=("alpha_a", "alpha_p"), rates=("Omega_a", "Omega_p")
     )
     assert (found.window, found.lr, found.updates, found.patience, found.substeps) == (60, 1e-2, 280, 3, 1)
-    assert not found.warm_start
+    assert not found.warm_start and found.longest == found.window
 
 
 def test_a_plant_that_runs_away_is_held_and_trained_in_smaller_steps():
@@ -41,6 +47,16 @@ def test_a_plant_that_runs_away_is_held_and_trained_in_smaller_steps():
     # p'' = -p - p': both modes decay as exp(-t / 2), by half every 2 ln(2) s.
     assert "unstable" not in calm.why and "half every 1.4 s" in calm.why
     assert wild.lr < calm.lr
+
+
+def test_a_motion_slower_than_the_window_is_planned_over_whole_where_a_phase_gains_nothing():
+    """To hold p the input takes v away, which leaves v to itself: v' = -0.015 v, 7 times 67 periods."""
+    plant = Plant("p v", lambda p, v, u: [v - p + u, 0.005 * u - 0.01 * v])
+    env = imagined(plant, 1.0, outputs=("p",), rates=(None,), max_steps=120)
+    settings = {"lr": 1e-30, "rollouts": 16, "check_every": 4, "patience": 1, "gain_range": 0.0, "warm_start": False}
+    planner = GradientPlanning(env, Actor(env.task.n_o, 1, hidden=(8, 8)), **settings)
+    planned = planner.plan()
+    assert planner.settings()["window"] == 100 and planned.imagined <= 16 * 80 * planned.updates  # for the same price
 
 
 def test_a_double_integrator_runs_away_although_no_mode_grows():
