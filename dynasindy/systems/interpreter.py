@@ -20,7 +20,7 @@ from dynasindy.systems.machine import Program
 from dynasindy.systems.steps import steps_of
 from dynasindy.systems.tangents import OPERATIONS, ExpressionGraph
 
-WIDTH = 16
+WIDTH = 8
 """Rows that are handled at once."""
 
 
