@@ -42,7 +42,7 @@ ELEMENTS, FEWEST = 300_000_000, 2000
 """Numbers in the products that choose functions, about, and rows that they are chosen by, at least."""
 SHORTEST_DELAY = 0.01
 """Shortest delay of the inputs that is believed [samples]."""
-SLIGHT = 0.05
+SLIGHT = 0.2
 """Squared error, in units of its variance, below which a step tells nothing of a fit to innovations: an observer that
 hardly corrects moves on and on."""
 STEPS = 30
@@ -285,11 +285,11 @@ def _without_delay(found: Estimate, free: Tensor, windows: Windows) -> Estimate:
     with suppress(RunsAway):
         prompt = replace(windows.delayed(0.0), history=None)
         flow, parameters = Flow.of(found, Parameters.where(support), windows), Parameters.where(support)
-        simple, model = _settle(Flow.of(replace(found, delay=0.0), parameters, prompt))
+        simple, model = _settle(Flow.of(replace(found, delay=0.0), parameters, prompt), ROUGH)
         worth = _price(int(windows.mask.sum()), free)
         told = found.delay > SHORTEST_DELAY * windows.dt
         if not told or 2 * (_left_over(model, prompt) - _left_over(linearise_windows(flow), windows)) <= worth:
-            return simple.estimate
+            return _settle(simple, MOVES_LITTLE, model)[0].estimate
     return found
 
 
