@@ -88,7 +88,7 @@ FORGOTTEN = 2**0.5
 """Error of a prediction that has nothing to do with what comes [deviations of the state]."""
 ROWS, FINAL_ROWS = 10_000, 30_000
 """Rows that a candidate is fitted to at most, and the best one in the end, in stretches spread evenly."""
-SHORT, FOLDS = 5000, 3
+SHORT, FOLDS = 2000, 3
 """Samples below which several parts are kept in turn, and how many."""
 HORIZONS, STARTS = 7, 60
 """Times ahead, and start times, over which they are judged."""
@@ -116,8 +116,6 @@ MANY = 100
 STAGE_SHARE, LARGEST_SHARE, LAST_SHARE = 0.25, 0.3, 0.15
 """Part of the time that lag states, longer simulations or hidden states may take each, any one candidate, and the last
 fit."""
-FIRST_SHARE = 1 / 30
-"""Part of the time that may have passed after the first candidate on one part, or no others are kept to judge on."""
 CUBIC = 6
 """States and inputs up to which cubic functions are tried."""
 ANGLES = frozenset({"rad", *TURNS})
@@ -136,6 +134,8 @@ STIFF = 10 * MOST_STEPS
 """Steps of a simulation between two samples, the most that there are, at which a model is too stiff for them."""
 FUNCTION_SETS = "functions of single states", "signed squares", "cubic functions", "square roots"
 """Functions that models are tried with beside those of their libraries, those first that cost little."""
+ENOUGH = 30
+"""Samples within the time in which the slowest state changes, from which on every second one may do."""
 LINEAR = ", inputs linear between samples"
 """How a model with such inputs is called."""
 LAG_STATES = 3
@@ -384,11 +384,12 @@ class Candidate:
 
     @property
     def equations(self) -> frozenset[tuple[object, ...]]:
-        """Which function stands in the equation of which state, and how inputs move; whatever the coefficients are."""
+        """Which function stands in which equation, how inputs move, and which samples are read; no coefficients."""
         names, features = self.source.signature.state_names, self.model.library.features
         terms = (self.model.coefficients != 0).nonzero().tolist()
         moves = zip(self.source.signature.input_names, self.source.training.linear_inputs.tolist(), strict=True)
-        return frozenset([*((names[i], frozenset(map(_unfitted, features[k].factors))) for k, i in terms), *moves])
+        read = [(names[i], frozenset(map(_unfitted, features[k].factors))) for k, i in terms]
+        return frozenset([*read, *moves, ("stride", self.source.stride)])
 
 
 @dataclass
@@ -590,7 +591,7 @@ class _Search:
                 fitted[-1].refinement = settings
                 most = self.refinement.seconds * LARGEST_SHARE / len(self.folds)
                 with self._time_limit(min(self.end, time.process_time() + most)):
-                    report = fitted[-1].fit(source.training.select(fold.fit_rows(settings.window)))
+                    report = fitted[-1].fit(source.fitted(fold.fit_rows(settings.window * source.stride)))
                 still = model.constraints.free.any(0) & ~(fitted[-1].coefficients != 0).any(0)
                 unseen = source.training.x_next.isnan().all(0)
                 if bool((still & unseen).any()) or not has_clear_lags(fitted[-1]) or self._drifts(fitted[-1]):
@@ -602,10 +603,6 @@ class _Search:
                 if self._explodes(fitted[-1], source):
                     return None
                 errors.append(fold.errors(fitted[-1], source))
-                first = not self.tried and len(errors) == 1
-                if first and time.process_time() - self.began > FIRST_SHARE * self.refinement.seconds:
-                    self.folds = self.folds[:1]
-                    break
                 hopeless = bool(self.tried) and fold.score(errors[-1]) > self.best.score + 2 * HOPELESS
                 if fold.exact(errors[-1]) or hopeless:
                     break  # the other parts would tell the same
@@ -687,13 +684,21 @@ class _Search:
 
     @_attempt()
     def _linear(self, model: SindyModel, source: Source) -> None:
-        """Fit the linear functions of a model, from no delay on and from that which regressions tell, if it is long."""
+        """Fit the linear functions of a model, from no delay on and from that which regressions tell, if it is long.
+
+        Samples that are close together tell more of noise than of what is slow: so long as it predicts better, every
+        second one of them is read.
+        """
         plain, settings = _with_functions(model, _is_linear), self._settings(select=False)
-        parts, dt = [source.training.select(fold.fit_rows()) for fold in self.folds], source.training.dt
+        parts, dt = [source.fitted(fold.fit_rows()) for fold in self.folds], source.training.dt
         told, names = _rough_delay(plain, parts[0], settings.longest_delay or 0.0), source.signature.state_names
         for delay, late in ((0.5 * dt, ""), (told, ", late")) if told > dt else ((told, ""),):
             begun = [_linear_start(plain, part, delay) for part in parts]
-            self._fit(f"linear equations of {', '.join(names)}{late}", begun, source, settings, model)
+            thin = f", one sample of {source.stride}" if source.stride > 1 else ""
+            self._fit(f"linear equations of {', '.join(names)}{late}{thin}", begun, source, settings, model)
+        own = [each for each in self._near() if each.structure is model]
+        if own and _best_first(own)[0].source.stride == source.stride and self.slow > ENOUGH * source.stride * dt:
+            self._linear(model, replace(source, stride=2 * source.stride))
 
     def _with_lag_states(self, of: Candidate) -> Candidate:
         """Try states that no sensor sees and that follow a signal, one after the other, and return the best one."""
@@ -704,7 +709,7 @@ class _Search:
             last = best
             with _attempt():
                 # Of linear equations alone, what acts at once beside a lag stands for functions that they lack.
-                early = best.source.training.select(self.folds[0].early)
+                early = best.source.fitted(self.folds[0].early)
                 trials = lag_state_candidates(best.model, early, beside=of.structure is None)
                 for lagging in trials[:LAG_STATES]:
                     signals = ", ".join(s for n, s in lagging.followed.items() if n not in last.model.followed)
@@ -779,7 +784,7 @@ class _Search:
         ratios = torch.stack([fold.ratios(errors).nanmean(0) for fold, errors in judged]).nanmean(0).nan_to_num()
         behind = dict(zip(of.source.signature.state_names, ratios.tolist(), strict=False))
         measured = self.source if of.source.training.u_end is None else self.source.with_linear_inputs()
-        early = [of.source.training.select(fold.fit_rows()) for fold in self.folds]
+        early = [of.source.fitted(fold.fit_rows()) for fold in self.folds]
         for state in sorted(signature.state_names, key=lambda name: -behind[name]):
             if behind[state] > 0:
                 parts = zip(of.models, early, strict=True)
@@ -789,10 +794,11 @@ class _Search:
     @_attempt()
     def _try_state_space(self) -> None:
         """Try linear equations of all states with hidden ones, first under inputs that move as in the best model."""
-        holds = [(self.source, ""), (self.source.with_linear_inputs(), LINEAR)]
+        own = replace(self.source, stride=self.best.source.stride)
+        holds = [(own, ""), (own.with_linear_inputs(), LINEAR)]
         for source, moving in holds if self.best.source.training.u_end is None else holds[::-1]:
             if self.best.score > 0 and not self.given.given_known:  # it would have equations of its own
-                parts = [source.training.select(fold.fit_rows()) for fold in self.folds]
+                parts = [source.fitted(fold.fit_rows()) for fold in self.folds]
                 begun = (state_space_candidates(self.given, part) for part in parts)
                 self._ever_more_states(f"linear equations{moving}, with", begun, source)
 
@@ -884,7 +890,7 @@ class _Search:
     def _with_one_inertia(self, model: SindyModel, source: Source) -> SindyModel:
         """Return a model with quotients of the one angle that regressions on all functions tell, or of none."""
         late = self.best.model.delay if self.tried else 0.0
-        theta, dx = _mean_rates(model, delay_and_trim(source.training.select(self.folds[0].fit_rows()), late))
+        theta, dx = _mean_rates(model, delay_and_trim(source.fitted(self.folds[0].fit_rows()), late))
         quotients = [_quotients(each) for each in model.library.features]
 
         def _cost(angle: frozenset[Factor]) -> float:
@@ -970,10 +976,11 @@ class _Search:
         So it is where there is no time, too.
         """
         settings, data, late, fold = best.settings, best.source.training, self.expired, self.folds[0]
-        early = fold.fit_rows(settings.window)
+        window = settings.window * best.source.stride
+        early, whole = fold.fit_rows(window), choose_stretches(len(data), FINAL_ROWS, window)
         linear = zip(best.model.signature.input_names, data.linear_inputs.tolist(), strict=True)
         # Of a long log it is fitted to stretches: what chance leaves of the coefficients is small then.
-        for rows in (early,) if stopped else (choose_stretches(len(data), FINAL_ROWS, settings.window), early):
+        for rows in (early,) if stopped else (whole, early):
             model = _warm_started(best.model)
             if settings.method == "one_step":
                 model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
@@ -984,7 +991,7 @@ class _Search:
             until = max(self.began + budget, time.process_time() + LAST_SHARE * budget)
             limited = self._time_limit(until if settings.method == "trajectory" else math.inf)
             with reporting_as("fit to all training data"), limited as ended:
-                report = model.fit(data.select(rows))
+                report = model.fit(best.source.fitted(rows))
             worse = fold.score(fold.errors(model, best.source)) > fold.score(best.errors[0]) + HOPELESS
             if not (worse or self._drifts(model) or self._explodes(model, best.source)):
                 break
@@ -1008,6 +1015,8 @@ class _Search:
             findings.append(note("fit.added_rates", states=rates, known={}))
         if model.linear_inputs:
             findings.append(note("fit.linear_inputs", inputs=model.linear_inputs))
+        if best.source.stride > 1:
+            findings.append(note("fit.stride", stride=best.source.stride))
         if (count := int(rows.sum())) < len(data):
             stretches = int((rows.long().diff(prepend=torch.zeros(1, dtype=torch.long)) > 0).sum())
             findings.append(note("fit.fitted_to", rows=count, total=len(data), stretches=stretches))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import torch
+from torch import Tensor
 
 from dynasindy.findings import Finding, note, weak
 from dynasindy.sentences import lines, setting
@@ -47,6 +48,7 @@ class Source:
         findings: what was decided when they were read.
         logged: whether they are a log, so that nothing is known of the plant but what was measured.
         exact: whether its samples are the states themselves, as training has them of a plant without sensors.
+        stride: every how many samples of it a fit reads.
     """
 
     signature: Signature
@@ -55,6 +57,7 @@ class Source:
     findings: tuple[Finding, ...] = ()
     logged: bool = False
     exact: bool = False
+    stride: int = 1
 
     @classmethod
     def of(cls, log: Recording, share: float = VALIDATION_SHARE) -> Source:
@@ -72,6 +75,10 @@ class Source:
         data = log.transitions
         early = torch.arange(len(data)) < int(len(data) * (1 - share))
         return cls(log.signature, data.select(early), data.select(~early), log.findings, True)
+
+    def fitted(self, rows: Tensor) -> Transitions:
+        """Return the transitions of some rows of the training data, bool `(N,)`, as a fit reads them."""
+        return self.training.select(rows).thinned(self.stride)
 
     @property
     def whole(self) -> Transitions:

@@ -99,7 +99,7 @@ def state_space_candidates(model: SindyModel, data: Transitions) -> Iterator[lis
         data: what to fit; rows that lack a sample are left out.
     """
     data = data.to(torch.float64)
-    predictors = [(stride, _predictor(_thinned(data, stride))) for stride in STRIDES]
+    predictors = [(stride, _predictor(data.thinned(stride))) for stride in STRIDES]
     n_y = model.signature.n_x
     for n in range(n_y + 1, n_y + MAX_HIDDEN + 1):
         found = list[SindyModel]()
@@ -198,17 +198,6 @@ def _with_chain(of: SindyModel, chain: SindyModel, rate: int | None, named: Coll
     found.initial = _both(of.coefficients, chain.initial)
     found.initial_delay = of.delay
     return found
-
-
-def _thinned(data: Transitions, stride: int) -> Transitions:
-    """Return a recording of every so many samples, and of inputs that are held the mean between them."""
-    starts, ends = data.segment_starts(), torch.arange(len(data)) + stride - 1
-    rows = torch.arange(len(data))
-    rows = rows[((rows - starts) % stride == 0) & (ends < len(data))]
-    rows = rows[data.segment[rows] == data.segment[rows + stride - 1]]
-    held = data.u_end is None
-    u = data.u[rows.unsqueeze(-1) + torch.arange(stride)].mean(1) if held else data.u[rows]
-    return Transitions(data.x[rows], u, data.x_next[rows + stride - 1], stride * data.dt, segment=data.segment[rows])
 
 
 def _predictor(data: Transitions) -> _Predictor | None:

@@ -226,6 +226,19 @@ class Transitions:
         u, u_end = self.inputs_of(keep)
         return replace(self, x=self.x[keep], u=u, x_next=self.x_next[keep], segment=breaks.cumsum(0), u_end=u_end)
 
+    def thinned(self, stride: int) -> Transitions:
+        """Return transitions over so many intervals each, under inputs that are held at their mean, or move on."""
+        if stride == 1:
+            return self
+        first = ((torch.arange(len(self)) - self.segment_starts()) % stride == 0).nonzero().flatten()
+        first = first[first + stride <= len(self)]
+        first = first[self.segment[first] == self.segment[first + stride - 1]]
+        last, mean = first + stride - 1, self.mean_inputs[first.unsqueeze(-1) + torch.arange(stride)].mean(1)
+        u, u_end = (torch.where(self.linear_inputs, end, mean) for end in (self.u[first], self.last_inputs[last]))
+        ends = None if self.u_end is None else u_end
+        long, segment = stride * self.dt, self.segment[first]
+        return replace(self, x=self.x[first], u=u, x_next=self.x_next[last], dt=long, segment=segment, u_end=ends)
+
     def to(self, dtype: torch.dtype) -> Transitions:
         """Cast states and inputs."""
         if self.x.dtype == self.u.dtype == self.x_next.dtype == dtype:

@@ -70,7 +70,7 @@ def test_joining_keeps_rows_inputs_and_rate_and_passes_over_an_empty_recording()
         Transitions.cat([])
 
 
-def test_rows_of_several_segments_know_where_theirs_begins_and_which_input_comes_next():
+def test_rows_of_several_segments_know_where_theirs_begins_which_input_comes_next_and_which_are_taken_together():
     parts = [replace(_line(n), u=100.0 * n + torch.arange(float(n)).double().unsqueeze(-1)) for n in (3, 2, 1, 4)]
     data = Transitions.cat(parts)
     starts = [0, 0, 0, 3, 3, 5, 6, 6, 6, 6]
@@ -78,3 +78,10 @@ def test_rows_of_several_segments_know_where_theirs_begins_and_which_input_comes
     assert data.begins().tolist() == [k == start for k, start in enumerate(starts)]
     ends = [301.0, 302.0, 302.0, 201.0, 201.0, 100.0, 401.0, 402.0, 403.0, 403.0]
     assert data.with_linear_inputs().u_end.flatten().tolist() == ends
+    pairs = data.thinned(2)
+    assert pairs.dt == 0.2 and pairs.x.flatten().tolist() == [0, 0, 0, 2]
+    assert pairs.x_next.flatten().tolist() == [2, 2, 2, 4] and pairs.segment.tolist() == [0, 1, 3, 3]
+    assert pairs.u.flatten().tolist() == [300.5, 200.5, 400.5, 402.5]
+    moving = data.with_linear_inputs().thinned(2)
+    assert moving.u.flatten().tolist() == [300, 200, 400, 402]
+    assert moving.u_end.flatten().tolist() == [302, 201, 402, 403]
