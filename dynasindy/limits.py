@@ -5,7 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import re
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
@@ -74,13 +75,26 @@ def raise_if_memory(error: BaseException) -> None:
         raise error
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let torch compute on one thread: more of them make many small operations slower, and use up their CPU time."""
+    import torch  # what is above does without
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def device(name: torch.device | str) -> torch.device:
     """Return the device of a name: `cpu`, or `cuda` where there is a GPU.
 
     Raises:
         ValueError: There is no such device here.
     """
-    import torch  # what is above does without
+    import torch
 
     try:
         named = torch.device(name)

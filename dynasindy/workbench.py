@@ -63,6 +63,7 @@ from dynasindy.identification.verdict import (
     targets_beyond_log,
     what_to_leave_out,
 )
+from dynasindy.limits import one_thread
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.plan_settings import LONGEST, find_task_equilibria, unheld
 from dynasindy.progress import reporting_as
@@ -90,6 +91,7 @@ HALVES = 2
 """Stretches of a log that a model is fitted to again, to see what the log leaves open."""
 
 
+@one_thread()
 @checked
 def plan(
     model: SindyModel,
@@ -204,6 +206,7 @@ def _refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> 
     return found
 
 
+@one_thread()
 @checked
 def forecast(
     controller: Controller,

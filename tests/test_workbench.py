@@ -55,16 +55,16 @@ def test_a_model_out_of_its_file_gets_the_same_verdict(log, model, tmp_path):
     assert second.record() == first.record()
 
 
-def test_what_is_under_way_is_told_and_nothing_is_printed(exact, capfd):
-    heard = []
-    with listening(heard.append):
+def test_what_is_under_way_is_told_and_nothing_is_printed_and_one_thread_computes(exact, capfd):
+    heard, threads = [], set()
+    torch.set_num_threads(2)
+    with listening(lambda event: (heard.append(event.phase), threads.add(torch.get_num_threads()))):
         found = dynasindy.identify(exact, WORDS, {"theta": "Omega"}, "one_step")
-        dynasindy.plan(found, {"theta": (-0.6, 0.6)}, exact, updates=1, rollouts=4, window=5)
-    phases = list(dict.fromkeys(told.phase for told in heard))
-    assert phases[:3] == ["fit", "fit to part 1 of 2 of the log", "fit to part 2 of 2 of the log"]
-    assert "planning" in phases
-    assert capfd.readouterr() == ("", "")
-    assert dynasindy.Progress.__module__ == "dynasindy.progress"
+        dynasindy.plan(found, {"theta": (-0.6, 0.6)}, exact, **SHORT)
+    phases, parts = list(dict.fromkeys(heard)), [f"fit to part {k} of 2 of the log" for k in (1, 2)]
+    assert phases[:3] == ["fit", *parts] and "planning" in phases and capfd.readouterr() == ("", "")
+    assert (threads, torch.get_num_threads()) == ({1}, 2)
+    torch.set_num_threads(1)
 
 
 def test_without_a_log_all_states_are_to_be_measured(model):

@@ -35,6 +35,7 @@ from dynasindy.identification.forecast_errors import (
 from dynasindy.identification.log_fit import LogFit, fit_log
 from dynasindy.identification.recording_diagnostics import low_signal_findings, low_signal_states
 from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source, rates_of
+from dynasindy.limits import one_thread
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import checked, write_json, write_text
 from dynasindy.sentences import error_of, gravest_first, lines
@@ -243,6 +244,7 @@ def read(
     return LoggedData(files, states, inputs, time, dt, validation_share=validation_share).source()
 
 
+@one_thread()
 @checked
 def identify(
     log: Source,
