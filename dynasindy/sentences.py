@@ -553,7 +553,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "fit.chosen_on": "functions were chosen on {rows} of {total} rows, in {stretches:one stretch|# stretches}, then "
     "all were fitted",
     "fit.fitted_to": "the coefficients were fitted on {rows} of {total} rows, in {stretches:one stretch|# stretches}",
-    "fit.stride": "the fit reads one sample of {stride}, as the model then predicts better",
+    "fit.stride": "the fit reads one sample of {stride}, as linear equations then predict better",
     "fit.longest_delay": lambda seconds: (
         f"the best delay of the inputs is the longest that was tried, {seconds:g} s: give "
         f"{setting('longest_delay', float(f'{2 * seconds:g}'))}, or 0 where it stands for what the equations lack. "

@@ -190,7 +190,7 @@ def _refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> 
     library, coefficients = model.library.subset(rows.nonzero().flatten().tolist()), model.coefficients[rows]
     used = model.constraints.free[rows] & (coefficients != 0)
     given = torch.where(model.constraints.free, 0.0, model.constraints.offset)[rows]
-    if length < len(library):
+    if length < len(library) * model.stride:
         return []
     for k in range(stretches):
         member = copy.deepcopy(model)
@@ -200,7 +200,8 @@ def _refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> 
         # A file of an earlier version does not tell how the model was fitted.
         member.refinement = replace(model.refinement or Refinement("auto"), longest_delay=0.0)
         with reporting_as(f"fit to {name}" if stretches == 1 else f"fit to part {k + 1} of {stretches} of {name}"):
-            member.fit(late.select((places >= k * length) & (places < (k + 1) * length)))
+            part = (places >= k * length) & (places < (k + 1) * length)
+            member.fit(late.select(part).decimate(model.stride))
         member.delay = model.delay
         found.append(member)
     return found
@@ -413,13 +414,11 @@ def _watching(model: SindyModel, sensors: Sensors, setup: ControlSetup, log: Sou
     if stride < 1 or abs(stride * data.dt - setup.dt) > 1e-6 * setup.dt:
         raise ValueError(f"dt is {setup.dt} s, no multiple of the log's sampling time {data.dt:.6g} s; give another")
     part = data.longest_stretch()
-    periods = len(part) // stride
-    if periods < 2:
+    periods = part.decimate(stride)
+    if len(periods) < 2:
         raise ValueError(f"the longest stretch of the log has {len(part)} samples; give one of two periods or more")
-    y = torch.cat([part.x[:1], part.x_next])[: periods * stride + 1 : stride]
-    u = part.u[: periods * stride].reshape(periods, stride, -1).mean(1)
     observer = Observer(model, sensors, setup)
-    observer.learn(y, u)
+    observer.learn(torch.cat([periods.x[:1], periods.x_next]), periods.mean_inputs)
     return observer
 
 

@@ -96,7 +96,7 @@ def train_on_plant(cfg: DictConfig, swept: bool) -> bool:
         lacking, words = "model.unexplained" in [f["code"] for f in metrics["findings"]], job.overrides.task
         error = metrics["imagined_error"] or 0.0
         longer = f"plans longer: errors in the model are {100 * error:.2g} %" if error > ACCEPTABLE_ERROR else ""
-        if longer and (window := metrics["planning"]["window"]) > LONGEST:  # by which shorter ones were of no use
+        if longer and (window := metrics["planning"]["window"]) > LONGEST:  # it was made longer
             words = [*without(words, "planning.window"), f"planning.window={window}"]
         say(improvements(folder, words, recipe.train.episodes, written, longer, lacking))
     good = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve

@@ -67,17 +67,12 @@ def test_what_is_under_way_is_told_and_nothing_is_printed_and_one_thread_compute
     torch.set_num_threads(1)
 
 
-def test_without_a_log_all_states_are_to_be_measured(model):
-    controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, updates=1, rollouts=4, window=5)
-    assert controller.observer is None
-    assert controller.dt == 0.05
+def test_without_a_log_all_states_are_to_be_measured_and_a_task_of_ones_own_is_taken_as_it_is(model):
+    own = Tracking(model.signature, RandomStep([0.0], [0.2]), ("theta",), ("Omega",), TrackingReward((1.0,)))
+    controller = dynasindy.plan(model, own, **SHORT)
+    assert controller.observer is None and controller.dt == 0.05 and controller.setup.task is own
     with pytest.raises(ValueError, match="Omega is nan"):
         controller.act({"theta": 0.1}, [0.3])
-
-
-def test_a_task_of_ones_own_is_taken_as_it_is(model):
-    own = Tracking(model.signature, RandomStep([0.0], [0.2]), ("theta",), ("Omega",), TrackingReward((1.0,)))
-    assert dynasindy.plan(model, own, dt=0.1, updates=1, rollouts=4, window=5).setup.task is own
 
 
 def test_an_output_that_no_input_moves_is_refused(model):

@@ -90,8 +90,8 @@ def _fit_local_model(rows: TensorDict, parts: PlantComponents) -> _LocalModel | 
 BEYOND = 10.0
 """Ranges of a state, about the start, that limit the excitation of a plant that stays by itself and names no bounds."""
 FEW = 3.0
-"""Ranges of a state, about the start, that limit that of any other plant; an output goes no more than a target range
-beyond its targets."""
+"""Ranges of a state, about the start, that limit that of any other plant; an output goes no further beyond its start
+and its targets than these lie apart."""
 MUCH = 0.25
 """Part of the excitation that is left out from which on more data would help."""
 MARGIN = 0.9
@@ -130,17 +130,19 @@ def excite(parts: PlantComponents, pilot: RegulatedExcitation | None = None) -> 
 def _excitation_limits(parts: PlantComponents) -> tuple[Tensor, Tensor]:
     """Return the ends of the states within which the plant is excited, `(n_x,)` each."""
     scale, task = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64), parts.plant.task
-    unsure = isinstance(task, Tracking) and parts.excitation.first < 1
     sides = torch.tensor([[-1.0], [1.0]], dtype=torch.float64)
-    far = task.start_ends.double() + (FEW if unsure else BEYOND) * sides * scale
-    if isinstance(task, Tracking) and unsure and task.ends is not None:
-        # A plant may go to another rest, as a reactor that ignites, and what it does there tells little of its targets.
-        ends, start = torch.tensor(task.ends, dtype=torch.float64), task.start_ends[:, task.outputs].double()
-        span = ends[1] - ends[0]
-        near = torch.stack([torch.minimum(ends[0], start[0]), torch.maximum(ends[1], start[1])]) + sides * span
-        within = sides * torch.minimum(sides * near, sides * far[:, task.outputs])
-        far[:, task.outputs] = torch.where(span > 0, within, far[:, task.outputs])
-    low, high = torch.where(task.bounds.isfinite(), task.bounds, far) if isinstance(task, Tracking) else far
+    low, high = far = task.start_ends.double() + BEYOND * sides * scale
+    if not isinstance(task, Tracking):
+        return low, high
+    if parts.excitation.first < 1:
+        far = task.start_ends.double() + FEW * sides * scale
+        if task.ends is not None:
+            # A plant may go to another rest, as a reactor that ignites, which tells little of its targets.
+            both = torch.cat([torch.tensor(task.ends, dtype=torch.float64), task.start_ends[:, task.outputs].double()])
+            hull = torch.stack([both.amin(0), both.amax(0)])
+            near, own = hull + sides * (hull[1] - hull[0]), far[:, task.outputs]
+            far[:, task.outputs] = torch.where(hull[1] > hull[0], sides * torch.minimum(sides * near, sides * own), own)
+    low, high = torch.where(task.bounds.isfinite(), task.bounds, far)
     return low, high
 
 

@@ -97,7 +97,7 @@ SHORTEST, LONGEST, WORSE = 50, 800, 2
 before; and how many of them in turn may be worse than the best before longer ones are given up."""
 PER_TERM = 0.01
 """Part by which errors have to be lower for a coefficient more; of functions that are not linear, and for a state more
-that follows a signal, twice as much; for inputs that are linear between samples once."""
+that follows a signal, twice as much; for inputs that are linear between samples, and for half of the samples, once."""
 FARTHEST, LIMIT = 200, 10_000
 """Samples ahead up to which candidates are judged at least, where there are so many, and at most."""
 BEHIND = 1.0
@@ -134,8 +134,8 @@ STIFF = 10 * MOST_STEPS
 """Steps of a simulation between two samples, the most that there are, at which a model is too stiff for them."""
 FUNCTION_SETS = "functions of single states", "signed squares", "cubic functions", "square roots"
 """Functions that models are tried with beside those of their libraries, those first that cost little."""
-ENOUGH = 30
-"""Samples within the time in which the slowest state changes, from which on every second one may do."""
+SPARSE = 30
+"""Samples within the time in which the slowest state changes, down to which every second one may do."""
 LINEAR = ", inputs linear between samples"
 """How a model with such inputs is called."""
 LAG_STATES = 3
@@ -290,10 +290,16 @@ class HoldOut:
         """Errors of the best simple model over each horizon, `(H, n_x)`."""
         return self.others[self.others.log().nanmean((1, 2)).nan_to_num(math.inf).argmin()]
 
-    def fit_rows(self, window: int = 1) -> Tensor:
-        """Return rows that candidates are fitted to in windows of so many, bool `(N,)`: stretches of the early part."""
+    def fit_rows(self, stride: int = 1, window: int = 1) -> Tensor:
+        """Return rows that candidates are fitted to, bool `(N,)`: stretches of the early part.
+
+        Args:
+            stride: of the samples that are read.
+            window: how many of these are simulated at once.
+        """
         rows = self.early.nonzero().flatten()
-        return torch.zeros_like(self.early).index_fill(0, rows[choose_stretches(len(rows), ROWS, window)], True)
+        chosen = rows[choose_stretches(len(rows), ROWS * stride, window * stride)]
+        return torch.zeros_like(self.early).index_fill(0, chosen, True)
 
     def errors(self, model: SindyModel, source: Source, filtered: bool = False) -> Tensor:
         """Return the errors of a model over each horizon, `(H, n_x)`, by the best way to estimate where it starts.
@@ -473,7 +479,7 @@ class _Search:
         wide, *_, given = (*self._structures(), (self.given, self.source))
         for structure in (wide, given) if wide[1] is not self.source else ():
             self._linear(*structure)
-        return wide if self.tried and self.best.source is not self.source else given
+        return wide if self.tried and self.best.states != given[1].signature.state_names else given
 
     def _exact(self) -> bool:
         return all(map(HoldOut.exact, self.folds, self.best.errors))
@@ -528,7 +534,7 @@ class _Search:
             self._select(each)
             for model, source in structures if self.builder is not None else ():
                 if each.structure is model:
-                    self._regressed(model, source)
+                    self._regressed(model, replace(source, stride=each.source.stride))
             self._try_larger_libraries([each])
         plain = [each for each in self.tried if not each.model.followed]
         if plain and self.best not in plain and not self._clearly_better(self.best, _best_first(plain)[0]):
@@ -591,7 +597,7 @@ class _Search:
                 fitted[-1].refinement = settings
                 most = self.refinement.seconds * LARGEST_SHARE / len(self.folds)
                 with self._time_limit(min(self.end, time.process_time() + most)):
-                    report = fitted[-1].fit(source.fitted(fold.fit_rows(settings.window * source.stride)))
+                    report = fitted[-1].fit(source.fit_data(fold.fit_rows(source.stride, settings.window)))
                 still = model.constraints.free.any(0) & ~(fitted[-1].coefficients != 0).any(0)
                 unseen = source.training.x_next.isnan().all(0)
                 if bool((still & unseen).any()) or not has_clear_lags(fitted[-1]) or self._drifts(fitted[-1]):
@@ -621,7 +627,7 @@ class _Search:
         rates = rate_states(model.library, model.constraints)
         unseen = [i for i in source.training.x.isnan().all(0).nonzero().flatten().tolist() if i not in rates]
         size = int(weight @ (model.coefficients != 0).sum(-1)) + 2 * len(unseen)
-        return score + PER_TERM * (size + int(source.training.u_end is not None))
+        return score + PER_TERM * (size + int(source.training.u_end is not None) + math.log2(source.stride))
 
     def _again(self, what: str, of: Candidate, settings: Refinement) -> Candidate | None:
         """Fit the models of a candidate again, from their coefficients on."""
@@ -689,15 +695,18 @@ class _Search:
         Samples that are close together tell more of noise than of what is slow: so long as it predicts better, every
         second one of them is read.
         """
+        if source.stride > 1 and has_gaps(source.training):
+            return  # what a slow sensor reads may fall between
         plain, settings = _with_functions(model, _is_linear), self._settings(select=False)
-        parts, dt = [source.fitted(fold.fit_rows()) for fold in self.folds], source.training.dt
+        parts = [source.fit_data(fold.fit_rows(source.stride)) for fold in self.folds]
+        dt = parts[0].dt
         told, names = _rough_delay(plain, parts[0], settings.longest_delay or 0.0), source.signature.state_names
         for delay, late in ((0.5 * dt, ""), (told, ", late")) if told > dt else ((told, ""),):
             begun = [_linear_start(plain, part, delay) for part in parts]
             thin = f", one sample of {source.stride}" if source.stride > 1 else ""
             self._fit(f"linear equations of {', '.join(names)}{late}{thin}", begun, source, settings, model)
         own = [each for each in self._near() if each.structure is model]
-        if own and _best_first(own)[0].source.stride == source.stride and self.slow > ENOUGH * source.stride * dt:
+        if own and _best_first(own)[0].source.stride == source.stride and self.slow > SPARSE * dt:
             self._linear(model, replace(source, stride=2 * source.stride))
 
     def _with_lag_states(self, of: Candidate) -> Candidate:
@@ -709,7 +718,7 @@ class _Search:
             last = best
             with _attempt():
                 # Of linear equations alone, what acts at once beside a lag stands for functions that they lack.
-                early = best.source.fitted(self.folds[0].early)
+                early = best.source.fit_data(self.folds[0].early)
                 trials = lag_state_candidates(best.model, early, beside=of.structure is None)
                 for lagging in trials[:LAG_STATES]:
                     signals = ", ".join(s for n, s in lagging.followed.items() if n not in last.model.followed)
@@ -783,8 +792,9 @@ class _Search:
         judged = zip(self.folds, of.errors, strict=False)
         ratios = torch.stack([fold.ratios(errors).nanmean(0) for fold, errors in judged]).nanmean(0).nan_to_num()
         behind = dict(zip(of.source.signature.state_names, ratios.tolist(), strict=False))
-        measured = self.source if of.source.training.u_end is None else self.source.with_linear_inputs()
-        early = [of.source.fitted(fold.fit_rows()) for fold in self.folds]
+        measured = replace(self.source, stride=of.source.stride)
+        measured = measured if of.source.training.u_end is None else measured.with_linear_inputs()
+        early = [of.source.fit_data(fold.fit_rows(of.source.stride)) for fold in self.folds]
         for state in sorted(signature.state_names, key=lambda name: -behind[name]):
             if behind[state] > 0:
                 parts = zip(of.models, early, strict=True)
@@ -798,7 +808,7 @@ class _Search:
         holds = [(own, ""), (own.with_linear_inputs(), LINEAR)]
         for source, moving in holds if self.best.source.training.u_end is None else holds[::-1]:
             if self.best.score > 0 and not self.given.given_known:  # it would have equations of its own
-                parts = [source.fitted(fold.fit_rows()) for fold in self.folds]
+                parts = [source.fit_data(fold.fit_rows(source.stride)) for fold in self.folds]
                 begun = (state_space_candidates(self.given, part) for part in parts)
                 self._ever_more_states(f"linear equations{moving}, with", begun, source)
 
@@ -844,7 +854,7 @@ class _Search:
         if len(of.structure.library) == len(of.model.library):
             return
         # Of those that suit any plant quotients of inertias are left to regressions.
-        stages, rows = [of.structure], int(self.folds[0].fit_rows().sum())
+        stages, rows = [of.structure], len(of.source.fit_data(self.folds[0].fit_rows(of.source.stride)))
         if self.builder is not None:
             stages = [_with_functions(of.structure, lambda each: not _quotients(each))]
             if len(stages[0].library) > MANY:
@@ -890,7 +900,7 @@ class _Search:
     def _with_one_inertia(self, model: SindyModel, source: Source) -> SindyModel:
         """Return a model with quotients of the one angle that regressions on all functions tell, or of none."""
         late = self.best.model.delay if self.tried else 0.0
-        theta, dx = _mean_rates(model, delay_and_trim(source.fitted(self.folds[0].fit_rows()), late))
+        theta, dx = _mean_rates(model, delay_and_trim(source.fit_data(self.folds[0].fit_rows(source.stride)), late))
         quotients = [_quotients(each) for each in model.library.features]
 
         def _cost(angle: frozenset[Factor]) -> float:
@@ -959,7 +969,7 @@ class _Search:
         self.variations.add((of, "windows"))
         last, best, worse = of, of, 0
         window = max(SHORTEST, 2 * of.settings.window) if of.settings.error == "prediction" else SHORTEST
-        longest = min(len(self.source.training) // 2, LONGEST)
+        longest = min(len(of.source.training) // (2 * of.source.stride), LONGEST)
         while window <= longest and worse <= WORSE:
             settings = self._settings(error="prediction", window=window, select=False)
             found = self._again(f"{of.what}, simulations of {window} samples", last, settings)
@@ -976,8 +986,8 @@ class _Search:
         So it is where there is no time, too.
         """
         settings, data, late, fold = best.settings, best.source.training, self.expired, self.folds[0]
-        window = settings.window * best.source.stride
-        early, whole = fold.fit_rows(window), choose_stretches(len(data), FINAL_ROWS, window)
+        stride, window = best.source.stride, settings.window
+        early, whole = fold.fit_rows(stride, window), choose_stretches(len(data), FINAL_ROWS * stride, window * stride)
         linear = zip(best.model.signature.input_names, data.linear_inputs.tolist(), strict=True)
         # Of a long log it is fitted to stretches: what chance leaves of the coefficients is small then.
         for rows in (early,) if stopped else (whole, early):
@@ -991,12 +1001,12 @@ class _Search:
             until = max(self.began + budget, time.process_time() + LAST_SHARE * budget)
             limited = self._time_limit(until if settings.method == "trajectory" else math.inf)
             with reporting_as("fit to all training data"), limited as ended:
-                report = model.fit(best.source.fitted(rows))
+                report = model.fit(best.source.fit_data(rows))
             worse = fold.score(fold.errors(model, best.source)) > fold.score(best.errors[0]) + HOPELESS
             if not (worse or self._drifts(model) or self._explodes(model, best.source)):
                 break
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
-        model.linear_inputs = tuple(name for name, moves in linear if moves)
+        model.linear_inputs, model.stride = tuple(name for name, moves in linear if moves), stride
         errors = [self.folds[0].errors(best.model, best.source, filtered=True)]
         model.memory, model.process_noise = best.model.memory, best.model.process_noise
         for fold, each, _ in list(zip(self.folds, best.models, best.errors, strict=False))[1:]:
@@ -1015,8 +1025,8 @@ class _Search:
             findings.append(note("fit.added_rates", states=rates, known={}))
         if model.linear_inputs:
             findings.append(note("fit.linear_inputs", inputs=model.linear_inputs))
-        if best.source.stride > 1:
-            findings.append(note("fit.stride", stride=best.source.stride))
+        if stride > 1:
+            findings.append(note("fit.stride", stride=stride))
         if (count := int(rows.sum())) < len(data):
             stretches = int((rows.long().diff(prepend=torch.zeros(1, dtype=torch.long)) > 0).sum())
             findings.append(note("fit.fitted_to", rows=count, total=len(data), stretches=stretches))

@@ -48,7 +48,7 @@ class Source:
         findings: what was decided when they were read.
         logged: whether they are a log, so that nothing is known of the plant but what was measured.
         exact: whether its samples are the states themselves, as training has them of a plant without sensors.
-        stride: every how many samples of it a fit reads.
+        stride: sampling intervals from one sample that a fit reads to the next.
     """
 
     signature: Signature
@@ -76,9 +76,9 @@ class Source:
         early = torch.arange(len(data)) < int(len(data) * (1 - share))
         return cls(log.signature, data.select(early), data.select(~early), log.findings, True)
 
-    def fitted(self, rows: Tensor) -> Transitions:
+    def fit_data(self, rows: Tensor) -> Transitions:
         """Return the transitions of some rows of the training data, bool `(N,)`, as a fit reads them."""
-        return self.training.select(rows).thinned(self.stride)
+        return self.training.select(rows).decimate(self.stride)
 
     @property
     def whole(self) -> Transitions:

@@ -99,7 +99,7 @@ def state_space_candidates(model: SindyModel, data: Transitions) -> Iterator[lis
         data: what to fit; rows that lack a sample are left out.
     """
     data = data.to(torch.float64)
-    predictors = [(stride, _predictor(data.thinned(stride))) for stride in STRIDES]
+    predictors = [(stride, _predictor(data.decimate(stride))) for stride in STRIDES]
     n_y = model.signature.n_x
     for n in range(n_y + 1, n_y + MAX_HIDDEN + 1):
         found = list[SindyModel]()

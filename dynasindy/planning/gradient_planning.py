@@ -237,7 +237,7 @@ class GradientPlanning(Planner):
         suited = choose_plan_settings(self.env, rests, self.finest)
         # Steps of a longer phase stay long for longer, and so do tests that are no better.
         patience = suited.patience * max(1, self.given.get("updates", 0) // max(1, suited.updates))
-        window = max(suited.window, min(self.pace.window, suited.longest))  # a longer one was of use
+        window = max(suited.window, min(self.pace.window, suited.longest))  # a longer one stays
         self.pace = pace = replace(suited, **{"patience": patience, "window": window, **self.given})
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, 0.3 * pace.lr)
@@ -309,7 +309,10 @@ class GradientPlanning(Planner):
                 for each in episodes:
                     each.vary(None)
                 before = self.test()
-            parts.append(self._descend(episodes, before, pace.updates, lr, held))
+            try:
+                parts.append(self._descend(episodes, before, pace.updates, lr, held))
+            except Diverged:  # the policy is that of the rounds before
+                break
             gain = parts[-1].score - before
             if leaving and self._leaving_share() >= leaving:  # no policy keeps them
                 self.network.load_state_dict(weights)
@@ -326,9 +329,9 @@ class GradientPlanning(Planner):
         return Planned(sum(part.imagined for part in parts), sum(part.updates for part in parts))
 
     def _begin_episodes(self) -> list[_Episodes]:
-        """Begin the imagined episodes; where a window is longer than any that a phase begins with they are fewer."""
-        window = LONGEST if "window" in self.given else self.pace.window
-        number = max(1, self.rollouts * LONGEST // max(LONGEST, window))  # so that an update costs no more
+        """Begin the imagined episodes, fewer where a window was made longer, so that an update costs no more."""
+        longer = self.pace.longest and "window" not in self.given
+        number = max(1, self.rollouts * LONGEST // max(LONGEST, self.pace.window if longer else 0))
         # Each moves an equal share, so that no policy can exploit the errors of one.
         models = [None, *self.others][:number]
         shares = torch.arange(number).tensor_split(len(models))

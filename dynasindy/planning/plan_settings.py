@@ -38,7 +38,7 @@ LOOKED_AT = 8
 TIME_CONSTANTS = 7.0
 """Time constants of the regulated plant in a window."""
 WINDOW = 20
-"""Windows are multiples of so many control periods."""
+"""Windows are multiples of so many control periods, or that much shorter than an episode."""
 LONGEST = 80
 """Longest window that a phase begins with; where that gains nothing, the slowest mode is planned over whole."""
 UNTOLD = 100

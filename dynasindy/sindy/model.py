@@ -95,8 +95,9 @@ class SindyModel(WorldModel):
     `covariance` tells after a fit how well the coefficients are known; None where nothing does. `findings` holds what
     `dynasindy.identify` found, `linear_inputs` the names of the inputs that moved in straight lines between the samples
     of the log, where others are held, `memory` on how much of the past states were best estimated [s], 0 where nothing
-    told, `process_noise` with which [ranges of the states per root of a second], and `places` which functions are left
-    of a library that was cut to the size of the data; it is empty where the library is whole.
+    told, `process_noise` with which [ranges of the states per root of a second], `stride` how many sampling intervals
+    lie between the samples that were fitted, and `places` which functions are left of a library that was cut to the
+    size of the data; it is empty where the library is whole.
 
     Raises:
         ValueError: a name of a state, an input or a function does not exist, or `time` is another word.
@@ -120,7 +121,7 @@ class SindyModel(WorldModel):
         super().__init__(signature)
         self.findings: tuple[Finding, ...] = ()
         self.linear_inputs: tuple[str, ...] = ()
-        self.memory, self.process_noise = 0.0, 0.0
+        self.memory, self.process_noise, self.stride = 0.0, 0.0, 1
         if time not in (None, "continuous", "discrete", "auto"):
             word = setting("world_model.time")
             raise ValueError(f"{word} is {time!r}; allowed are continuous, discrete and auto: choose one")
@@ -461,6 +462,7 @@ class SindyModel(WorldModel):
             "delay": self.delay,
             "linear_inputs": list(self.linear_inputs),
             "memory": self.memory,
+            "stride": self.stride,
             "process_noise": self.process_noise,
             "step": library.step,
             "uncertainty": self.covariance and _uncertainty(library, *self.covariance),
@@ -620,9 +622,7 @@ def _by_period(data: Transitions) -> Transitions:
             f"a difference equation was given {len(data)} samples that are not whole control periods of {n}; give "
             "whole ones, or one sample per control period"
         )
-    last = None if data.u_end is None else data.u_end[n - 1 :: n]
-    rows = data.x[::n], data.u[::n], data.x_next[n - 1 :: n], n * data.dt, data.segment[::n]
-    return Transitions(*rows, u_end=last)
+    return data.decimate(n)
 
 
 DEGREES = {"id": 1.0, "abs": 1.0, "sqrt": 0.5, "sign": 0.0}
@@ -741,6 +741,9 @@ def _read(data: dict[str, Any]) -> SindyModel:
             found[place[name] if name in place else library.index(name), i] = value
     model.set_coefficients(found)
     model.delay, model.memory, model.process_noise = float(delay), float(memory), float(noise)
+    model.stride = data.get("stride", 1)
+    if type(model.stride) is not int or not 1 <= model.stride <= LONGEST:
+        raise TypeError(f"its stride is {model.stride}; allowed are whole numbers from 1 to {LONGEST:g}")
     model.covariance = _covariance(library, data.get("uncertainty"))
     model.refinement = Refinement(**data["refinement"]) if data.get("refinement") else None
     numbers = [found, model.constraints.offset, *([model.covariance.factor] if model.covariance else [])]

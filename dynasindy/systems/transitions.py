@@ -226,18 +226,17 @@ class Transitions:
         u, u_end = self.inputs_of(keep)
         return replace(self, x=self.x[keep], u=u, x_next=self.x_next[keep], segment=breaks.cumsum(0), u_end=u_end)
 
-    def thinned(self, stride: int) -> Transitions:
+    def decimate(self, factor: int) -> Transitions:
         """Return transitions over so many intervals each, under inputs that are held at their mean, or move on."""
-        if stride == 1:
+        if factor == 1:
             return self
-        first = ((torch.arange(len(self)) - self.segment_starts()) % stride == 0).nonzero().flatten()
-        first = first[first + stride <= len(self)]
-        first = first[self.segment[first] == self.segment[first + stride - 1]]
-        last, mean = first + stride - 1, self.mean_inputs[first.unsqueeze(-1) + torch.arange(stride)].mean(1)
+        first = ((torch.arange(len(self)) - self.segment_starts()) % factor == 0).nonzero().flatten()
+        first = first[first + factor <= len(self)]
+        first = first[self.segment[first] == self.segment[first + factor - 1]]
+        last, mean = first + factor - 1, self.mean_inputs[first.unsqueeze(-1) + torch.arange(factor)].mean(1)
         u, u_end = (torch.where(self.linear_inputs, end, mean) for end in (self.u[first], self.last_inputs[last]))
-        ends = None if self.u_end is None else u_end
-        long, segment = stride * self.dt, self.segment[first]
-        return replace(self, x=self.x[first], u=u, x_next=self.x_next[last], dt=long, segment=segment, u_end=ends)
+        ends, segment = None if self.u_end is None else u_end, self.segment[first]
+        return Transitions(self.x[first], u, self.x_next[last], factor * self.dt, segment, u_end=ends)
 
     def to(self, dtype: torch.dtype) -> Transitions:
         """Cast states and inputs."""

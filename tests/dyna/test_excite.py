@@ -209,27 +209,22 @@ def tries(made, number):
     return torch.cat([_interact(made.env, shaken, 40, ENDS) for _ in range(number)])
 
 
-@pytest.mark.parametrize(("measured", "within"), [(False, 0.06), (True, 0.06)])
-def test_slopes_are_those_of_the_plant_at_its_start(measured, within):
+@pytest.mark.parametrize("measured", [False, True])
+def test_slopes_are_those_of_the_plant_at_its_start(measured):
     made = falling_parts(measured)
+    assert _fit_local_model(tries(made, 1)[:1], made) is None  # five samples for four numbers an equation
     found = _fit_local_model(tries(made, 6), made)
     assert found.home.tolist() == [0.0, 0.0]
     torch.testing.assert_close(found.a[0], torch.tensor([0.0, 1.0]).double(), atol=0.02, rtol=0.0)
-    assert found.a[1, 0].item() == pytest.approx(40.0, rel=within)
+    assert found.a[1, 0].item() == pytest.approx(40.0, rel=0.06)
     assert found.a[1, 1].item() == pytest.approx(-1.0, abs=1.0)
-    assert found.b.flatten().tolist() == pytest.approx([0.0, 60.0], rel=within, abs=0.02)
+    assert found.b.flatten().tolist() == pytest.approx([0.0, 60.0], rel=0.06, abs=0.02)
     assert found.c.tolist() == pytest.approx([0.0, 3.0], abs=0.3)
     assert (found.model is None) != measured
     if measured:
         x, u = torch.tensor([[0.1, -0.4]]).double(), torch.tensor([[0.2]]).double()
         linear = x @ found.a.mT + u @ found.b.mT + found.c
         torch.testing.assert_close(found.model(x, u), linear)
-
-
-@pytest.mark.parametrize("measured", [False, True])
-def test_of_too_little_no_model_is_made(measured):
-    made = falling_parts(measured)
-    assert _fit_local_model(tries(made, 1)[:1], made) is None  # five samples for four numbers an equation
 
 
 def test_true_states_are_not_read_behind_an_encoder():

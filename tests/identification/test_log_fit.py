@@ -3,6 +3,7 @@
 import math
 import warnings
 from dataclasses import replace
+from itertools import accumulate
 
 import numpy as np
 import pytest
@@ -264,6 +265,16 @@ def test_a_rate_that_a_log_lacks_is_added_whatever_fits_it_unless_it_is_said_to_
         for known, names in ((None, ("a", "a_rate")[: 1 + added]), ({}, ("a",))):
             model = SindyModel(source.signature, "auto_rig", Regression("bic"), Refinement(method), known=known)
             assert fit_log(model, source).model.signature.state_names == names
+
+
+def test_one_sample_in_four_tells_the_same_equation():
+    """v' = -2 v + 3 u, exact at each sample, under inputs that jump every eighth one."""
+    u, (a, b) = steps(3, 40, 8), (math.exp(-0.02), 1.5 * (1 - math.exp(-0.02)))
+    v = list(accumulate(u, lambda last, held: a * last + b * held, initial=0.0))
+    source = replace(source_of(v, u, 0.01, ("v",)), stride=4)
+    model = SindyModel(source.signature, ["v", "u"], Regression("bic"), Refinement("one_step"))
+    report = model.fit(source.fit_data(torch.ones(len(u), dtype=torch.bool)))
+    assert report.samples == 80 and model.coefficients.flatten().tolist() == pytest.approx([-2, 3], rel=1e-6)
 
 
 def test_candidates_are_judged_on_rows_that_none_was_fitted_to():

@@ -76,9 +76,8 @@ def test_a_fast_mode_takes_smaller_steps(rate, steps):
 def test_the_policy_of_a_plant_whose_input_may_do_little_begins_as_a_regulator(limits, little):
     """Half of the range of the input, and a fifth of it: a stop of the log, within which its plant is known."""
     plant = spring(-1.0, 1.0, 4.0)
-    given = {"low": (0.9,), "high": (2.0,)}
-    task = Tracking(plant.signature, RandomStep(*given.values()), ("x",), ("v",), TrackingReward((4.0,)), **given)
-    env = ControlEnv(plant, task.with_input_limits([limits[:1], limits[1:]]), 0.05, 1)
+    env = imagined(plant, low=(0.9,), high=(2.0,))
+    env = ControlEnv(plant, env.task.with_input_limits([limits[:1], limits[1:]]), 0.05, 1)
     found = choose_plan_settings(env, find_task_equilibria(env))
     assert found.warm_start == little == ("20 %" in found.why)
 
@@ -96,12 +95,10 @@ def test_without_references_a_model_takes_the_steps_of_the_plant(settle):
     assert find_task_equilibria(env) is None
     found = choose_plan_settings(env, None, 5)
     assert found == PlanSettings(100, 3e-3, 400, 8, 5, why="the task has no references")
-    assert not found.warm_start
 
 
 def settling(plant, v, share=0.05):
-    task = Tracking(plant.signature, RandomStep((-0.5,), (0.5,)), ("x",), ("v",), TrackingReward((4.0,)))
-    return _settles(ControlEnv(plant, task, 0.05, 1), torch.tensor([[0.0, v]] * 3), torch.zeros(3, 1), share)
+    return _settles(imagined(plant), torch.tensor([[0.0, v]] * 3), torch.zeros(3, 1), share)
 
 
 ROOM = Plant("x v", lambda x, v, u: [u - 2 * x + v, 0.001 * (x - 2 * v)])
