@@ -695,10 +695,10 @@ class _Search:
         Samples that are close together tell more of noise than of what is slow: so long as it predicts better, every
         second one of them is read.
         """
-        if source.stride > 1 and has_gaps(source.training):
-            return  # what a slow sensor reads may fall between
         plain, settings = _with_functions(model, _is_linear), self._settings(select=False)
         parts = [source.fit_data(fold.fit_rows(source.stride)) for fold in self.folds]
+        if bool((parts[0].x_next.isnan() & ~source.training.x_next.isnan().all(0)).all(0).any()):
+            return  # what a slow sensor reads falls between
         dt = parts[0].dt
         told, names = _rough_delay(plain, parts[0], settings.longest_delay or 0.0), source.signature.state_names
         for delay, late in ((0.5 * dt, ""), (told, ", late")) if told > dt else ((told, ""),):
