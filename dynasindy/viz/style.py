@@ -12,7 +12,7 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from dynasindy.data.headings import RATE_NAMES
@@ -223,6 +223,7 @@ def time_axis(figure: Figure, seconds: ArrayLike, words: str = "time") -> None:
         axis.set_xlabel(f"{words} [{unit.name}]")
         axis.tick_params(labelbottom=True)
         axis.xaxis.set_major_locator(ticks)
+        axis.xaxis.set_major_formatter(ScalarFormatter())  # the labels of a longer time stay otherwise
         if unit.seconds != 1:
             places = ticks.tick_values(low / unit.seconds, high / unit.seconds)
             axis.set_xticks([unit.seconds * place for place in places], [f"{place:g}" for place in places])
