@@ -25,7 +25,7 @@ DIGITS = 2
 CHOICES = 8
 """Sets of outputs that are tried, to find one that can be held."""
 POINTS = 32
-"""Targets of a range at which it is looked whether an input holds them."""
+"""Targets within a range, and of its corners at most, at which it is looked whether an input holds them."""
 DRAWN_IN = 12
 """Times that a range of targets is drawn in, until all of it is held."""
 ENOUGH = 0.9
@@ -110,7 +110,8 @@ def _held_within(
     start = data.x.double().nanmedian(0).values.nan_to_num(0.0)
     low, high = (torch.tensor(side, dtype=torch.float64) for side in zip(*ends.values(), strict=True))
     usual = high - low
-    points = SobolEngine(len(places), scramble=True, seed=0).draw(POINTS).double()
+    corners = torch.cartesian_prod(*[torch.tensor([0.0, 1.0])] * len(places)).reshape(-1, len(places))[:POINTS]
+    points = torch.cat([SobolEngine(len(places), scramble=True, seed=0).draw(POINTS), corners]).double()
     for _ in range(DRAWN_IN):
         rests = find_equilibria(model, places, low + (high - low) * points, start, period, limits)
         if not len(rests) or bool((high - low < LEAST * usual).any()):
