@@ -586,7 +586,8 @@ class _Search:
         structure: SindyModel | None = None,
     ) -> Candidate | None:
         """Fit copies of a model to what is not kept, and judge them."""
-        if self.tried and (self.expired or self._exact()):
+        # What is exact can only be made simpler.
+        if self.tried and (self.expired or (self._exact() and source.signature.n_x >= self.best.source.signature.n_x)):
             return None
         fitted, errors, candidate = list[SindyModel](), list[Tensor](), None
         with _attempt(), reporting_as(what):
