@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
-from itertools import combinations
+from itertools import combinations, islice, product
 
 import torch
 from torch.quasirandom import SobolEngine
@@ -25,7 +25,7 @@ DIGITS = 2
 CHOICES = 8
 """Sets of outputs that are tried, to find one that can be held."""
 POINTS = 32
-"""Targets within a range, and of its corners at most, at which it is looked whether an input holds them."""
+"""Targets within a range for which an input is sought that holds them, and corners of it, at most."""
 DRAWN_IN = 12
 """Times that a range of targets is drawn in, until all of it is held."""
 ENOUGH = 0.9
@@ -110,7 +110,7 @@ def _held_within(
     start = data.x.double().nanmedian(0).values.nan_to_num(0.0)
     low, high = (torch.tensor(side, dtype=torch.float64) for side in zip(*ends.values(), strict=True))
     usual = high - low
-    corners = torch.cartesian_prod(*[torch.tensor([0.0, 1.0])] * len(places)).reshape(-1, len(places))[:POINTS]
+    corners = torch.tensor(list(islice(product((0.0, 1.0), repeat=len(places)), POINTS)))
     points = torch.cat([SobolEngine(len(places), scramble=True, seed=0).draw(POINTS), corners]).double()
     for _ in range(DRAWN_IN):
         rests = find_equilibria(model, places, low + (high - low) * points, start, period, limits)

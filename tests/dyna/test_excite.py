@@ -85,8 +85,7 @@ def test_a_plant_that_begins_many_ranges_from_zero_is_excited_there_without_boun
     experiment = parts(tank, start={"T": 350.0})
     rows = excite(experiment)
     assert finding("excitation.restarts", experiment, rows) is None and rows["step_count"].max() == len(rows) - 1 == 199
-    own = experiment.plant.task.with_starts(torch.tensor([[350.0], [352.0]]))  # as an environment of Gymnasium says
-    experiment.plant.task = own
+    experiment.plant.task = experiment.plant.task.with_starts(torch.tensor([[350.0], [352.0]]))
     assert [end.tolist() for end in _excitation_limits(experiment)] == [[300.0], [402.0]]
     unsure = parts(tank, start={"T": 350.0}, careful={"first": 0.1}, low=[350.0], high=[354.0])
     assert [end.tolist() for end in _excitation_limits(unsure)] == [[346.0], [358.0]]  # a range beyond its targets

@@ -203,10 +203,8 @@ def test_a_rollout_is_the_one_of_torchrl(batch, periods, settings):
         assert ours[key].dtype == theirs[key].dtype and torch.equal(ours[key], theirs[key]), key
     ours["observation"].fill_(9.0)  # numbers of one period are its own
     assert torch.equal(ours["next", "observation"], theirs["next", "observation"])
-    assert (
-        theirs["next", "state"].is_contiguous()
-        and ours.reshape(-1).contiguous().batch_size == theirs.reshape(-1).batch_size
-    )
+    assert theirs["next", "state"].is_contiguous()
+    assert ours.reshape(-1).contiguous().batch_size == theirs.reshape(-1).batch_size
 
 
 def test_a_rollout_tells_of_each_period_but_the_last_and_goes_on_from_another():

@@ -112,10 +112,8 @@ def test_leaving_the_bounds_costs_where_it_is_asked_for_and_within_them_nothing_
     # 0.5 and 1 range of 2 m beyond, at a cost of e^2 / (0.05 + e) each.
     cost = torch.tensor([0.0, 10 * 0.25 / 0.55, 10 * 1.0 / 1.05])
     torch.testing.assert_close(paid - fenced, cost, atol=1e-5, rtol=0)
-    assert (
-        task.fence == 0.0
-        and Tracking(signature, Step([[0.0]]), ["a"], (), TrackingReward((1.0,))).fenced(9.0).fence == 0
-    )
+    assert task.fence == 0.0
+    assert Tracking(signature, Step([[0.0]]), ["a"], (), TrackingReward((1.0,))).fenced(9.0).fence == 0
 
 
 def test_a_task_of_a_log_begins_where_the_log_was_and_sees_outputs_in_the_range_of_their_targets():

@@ -340,8 +340,7 @@ def test_two_stores_whose_levels_are_read_need_roots_and_no_rates(one_fold):
 
 def test_equations_that_explode_under_inputs_that_were_seen_are_none(one_fold):
     """y' = 1.98 u - 2 sin(y) comes to rest at y = 1.43 where u = 1 lasts; the cubic that fits pulses of it to none."""
-    u, dt = steps(4, 120, 10), 0.05
-    pushes = 0.08 * steps(5, 400, 3)
+    u, dt, pushes = steps(4, 120, 10), 0.05, 0.08 * steps(5, 400, 3)
     x = scipy_motion(lambda t, x, u: [1.98 * u - 2 * np.sin(x[0])], [0.0], u + pushes, dt, 1e-8, 1e-10)
     assert np.abs(x).max() < 1
     x += np.random.default_rng(0).normal(0, 0.002, x.shape)
@@ -352,9 +351,8 @@ def test_equations_that_explode_under_inputs_that_were_seen_are_none(one_fold):
 
 def test_a_log_without_inputs_is_identified(one_fold):
     """a' = a - a b, b' = a b - b: hares and foxes (Lotka and Volterra), counted with errors."""
-    x = scipy_motion(
-        lambda t, x, u: [x[0] * (1 - x[1]), x[1] * (x[0] - 1)], [2.0, 1.0], np.zeros(600), 0.05, 1e-8, 1e-8
-    )
+    rates = lambda t, x, u: [x[0] * (1 - x[1]), x[1] * (x[0] - 1)]  # noqa: E731
+    x = scipy_motion(rates, [2.0, 1.0], np.zeros(600), 0.05, 1e-8, 1e-8)
     x += np.random.default_rng(0).normal(0, 0.01, x.shape)
     signature, no = Signature(("a", "b"), ("-", "-"), (), (2.0, 2.0)), torch.zeros(600, dtype=torch.bool)
     data = Transitions.from_trajectory(torch.from_numpy(x), torch.zeros(600, 0, dtype=torch.float64), 0.05)

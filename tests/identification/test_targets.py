@@ -25,11 +25,19 @@ def source():
 
 
 def test_as_many_states_as_inputs_are_held_where_eight_tenths_of_the_log_are(source):
-    assert targets_like(source, ["w"], NONE) == {
-        "outputs": ["q", "T"],
-        "low": ["100", "20.10"],
-        "high": ["900", "20.90"],
-    }
+    ends = {"low": ["100", "20.10"], "high": ["900", "20.90"]}
+    assert targets_like(source, ["w"], NONE) == {"outputs": ["q", "T"], **ends}
+
+
+def test_the_corners_of_a_range_are_held_too(source):
+    """At rest q is 895 u + 105 v, and T - 20 is .105 u + .895 v: q = 900 beside T = 20.1 would take u = 1.006."""
+    equations = {"q": {"q": -1, "u": 895, "v": 105}, "T": {"1": 20, "T": -1, "u": 0.105, "v": 0.895}}
+    equations |= {"w": {"w": -1}, "h": {"h": -1}}
+    model = SindyModel(source.signature, ["1", *"qwThuv"], fixed=equations)
+    found = targets_like(source, ["w"], NONE, model)
+    ends = torch.tensor([[float(end) for end in found[key]] for key in ("low", "high")])
+    corners = torch.cartesian_prod(*(ends - torch.tensor([0.0, 20.0])).mT)
+    assert torch.linalg.solve(torch.tensor([[895, 105], [0.105, 0.895]]), corners.mT).abs().max() <= 1
 
 
 def test_what_was_given_stays(source):
@@ -66,8 +74,8 @@ def test_an_output_that_no_input_moves_is_not_proposed_where_another_one_is_held
     equations = {"outside": {"outside": -1.0}, "inside": {"inside": -1.0, "u": 2.0}}
     model = SindyModel(source.signature, ["outside", "inside", "u"], fixed=equations)
     assert targets_like(source, [], NONE, model)["outputs"] == ["inside"]
-    given = {**NONE, "outputs": ["outside"]}
-    assert targets_like(source, [], given, model)["low"] == ["-0.8"]  # whoever names it gets where the log was
+    # Whoever names it gets where the log was.
+    assert targets_like(source, [], {**NONE, "outputs": ["outside"]}, model)["low"] == ["-0.8"]
 
 
 def test_an_acceleration_is_proposed_only_where_there_is_nothing_else():
