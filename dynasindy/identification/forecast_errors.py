@@ -24,7 +24,7 @@ from torch import Tensor
 from dynasindy.identification.recording_diagnostics import resolutions, sensor_errors
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delay_inputs
-from dynasindy.sindy.reconstruction import rate_states, reconstruct, settle_lag_states
+from dynasindy.sindy.reconstruction import rate_states, reconstruct
 from dynasindy.sindy.regression import least_squares
 from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.sindy.world_model import variance
@@ -326,7 +326,7 @@ def _filtered_states(model: SindyModel, data: Transitions, rows: Tensor, length:
     Source: Simon, Optimal State Estimation (2006), section 13.2.
     """
     rates, n_x = rate_states(model.library, model.constraints), model.signature.n_x
-    guess = settle_lag_states(reconstruct(data, rates), model.followers)
+    guess = model.guess_states(data)
     scale = torch.tensor(model.signature.x_scale, dtype=torch.float64)
     error = torch.cat([sensors.double(), scale.new_full((n_x - len(sensors),), math.nan)])
     variance = torch.where(error.isnan(), scale, error.maximum(LEAST_ERROR * scale)).square()
@@ -435,7 +435,7 @@ def estimate(model: SindyModel, data: Transitions, rows: Tensor, length: int) ->
     after = rows.unsqueeze(-1) + torch.arange(length)
     measured = torch.cat([data.x[rows].unsqueeze(1), data.x_next[after]], 1)
     mask, inputs = ~measured.isnan(), data.inputs_of(after)
-    guess = settle_lag_states(reconstruct(data, rate_states(model.library, model.constraints)), model.followers)
+    guess = model.guess_states(data)
     x = guess.x[rows].double()
     scale = torch.tensor(model.signature.x_scale, dtype=torch.float64)
     damping = torch.full((len(rows),), 1e-3, dtype=torch.float64)

@@ -61,7 +61,6 @@ from dynasindy.sindy.reconstruction import (
     has_gaps,
     rate_states,
     reconstruct,
-    settle_lag_states,
 )
 from dynasindy.sindy.refinement import FARTHER, TELLING, Refinement
 from dynasindy.sindy.regression import SAMPLES_EACH, Rows, fit_supported
@@ -1070,8 +1069,7 @@ def _largest_excursion(model: SindyModel, data: Transitions) -> float:
     u = data.u.double().mean(0).repeat(2 * data.u.shape[1], 1)
     for i, ends in enumerate(zip(data.u.amin(0), data.u.amax(0), strict=True)):
         u[2 * i : 2 * i + 2, i] = torch.stack(ends).double()
-    guess = settle_lag_states(reconstruct(data, rate_states(model.library, model.constraints)), model.followers)
-    x = guess.x.double().nanmedian(0).values.nan_to_num().expand(len(u), -1)
+    x = model.guess_states(data).x.double().nanmedian(0).values.nan_to_num().expand(len(u), -1)
     steps = min(data.longest_segment, LIMIT)
     path = model.simulate(x, u.unsqueeze(1).expand(-1, steps, -1), data.dt, model.substeps(data.dt))
     return float((path / x.new_tensor(model.signature.x_scale)).abs().nan_to_num(math.inf).max())

@@ -296,10 +296,7 @@ class GradientPlanning(Planner):
                 before = parts[-1].score
                 # Of a motion that is slower than the window most is behind it, of which the gradient tells nothing.
                 if gain <= GAIN * abs(before) and self.pace.window < longest:
-                    self.pace, lr = replace(self.pace, window=longest), pace.lr
-                    strength, episodes = episodes[0].rows.strength, self._begin_episodes()
-                    for each in episodes:
-                        each.vary(strength)
+                    episodes, lr = self._lengthen_window(longest, episodes), pace.lr
             # As long as those of the first phase: what it has not reached, the few updates of a later one do not.
             # Targets come before margins, and so do bounds, which weaker inputs may not be able to keep.
             self.margin_cost = None
@@ -330,12 +327,20 @@ class GradientPlanning(Planner):
 
     def _begin_episodes(self) -> list[_Episodes]:
         """Begin the imagined episodes, fewer where a window was made longer, so that an update costs no more."""
-        longer = self.pace.longest and "window" not in self.given
-        number = max(1, self.rollouts * LONGEST // max(LONGEST, self.pace.window if longer else 0))
+        usual = not self.pace.longest or "window" in self.given
+        number = self.rollouts if usual else max(1, self.rollouts * LONGEST // max(LONGEST, self.pace.window))
         # Each moves an equal share, so that no policy can exploit the errors of one.
         models = [None, *self.others][:number]
         shares = torch.arange(number).tensor_split(len(models))
         return [_Episodes(self, model, len(share)) for model, share in zip(models, shares, strict=True)]
+
+    def _lengthen_window(self, window: int, episodes: Sequence[_Episodes]) -> list[_Episodes]:
+        """Plan over a longer window from now on, and return the episodes for it, begun anew, as varied as before."""
+        strength, self.pace = episodes[0].rows.strength, replace(self.pace, window=window)
+        longer = self._begin_episodes()
+        for each in longer:
+            each.vary(strength)
+        return longer
 
     def settings(self) -> dict[str, Any]:
         """Return the settings of the latest phase and why they are so."""
@@ -427,8 +432,9 @@ class GradientPlanning(Planner):
                 if failures >= self.pace.patience or not made:
                     break
         self.network.load_state_dict(best_weights)
+        windows = done * sum(each.number for each in episodes)
         if best == -math.inf or not (made or held or self.pace.afar):
-            lost, windows = sum(each.diverged for each in episodes), done * sum(each.number for each in episodes)
+            lost = sum(each.diverged for each in episodes)
             mend = (
                 f"check the task's reward and shorten {setting('planning.window')}, or lower {setting('planning.lr')}"
             )
@@ -441,7 +447,7 @@ class GradientPlanning(Planner):
                 f"planning by gradient: {made} of {done} updates had a finite gradient, {lost} of {windows} imagined "
                 f"windows diverged, and no policy has a finite return, so the actor is left as it was; {mend}"
             )
-        return Imitation(best, done * sum(each.number for each in episodes) * self.pace.window, made)
+        return Imitation(best, windows * self.pace.window, made)
 
     def _lack(self) -> float:
         """Return what the policy lacks of its margins, of which later updates follow the gradient."""

@@ -40,7 +40,7 @@ TIME_CONSTANTS = 7.0
 WINDOW = 20
 """Windows are multiples of so many control periods, or that much shorter than an episode."""
 LONGEST = 80
-"""Longest window that a phase begins with; where that gains nothing, the slowest mode is planned over whole."""
+"""Longest window that a phase begins with; where that gains nothing, a longer one follows."""
 UNTOLD = 100
 """Window where nothing tells how long what is done now matters; Pendulum-v1 is swung up by its own reward with it, and
 not with 60."""
@@ -60,7 +60,8 @@ class PlanSettings:
 
     Attributes:
         window: Control periods that a gradient reaches back.
-        longest: Those by which the slowest motion of the regulated plant, or nearly the episode, is over; 0 of none.
+        longest: Window in which the slowest motion of the regulated plant dies out, nearly an episode at most; 0 where
+            nothing tells it.
         lr: Learning rate of the first phase.
         updates: Gradient updates of the first phase.
         patience: Tests in a row without improvement after which a phase ends.

@@ -250,6 +250,14 @@ class SindyModel(WorldModel):
         names = self.signature.state_names
         return {names.index(name): names.index(s) for name, s in self.followed.items() if s in names}
 
+    def guess_states(self, data: Transitions) -> Transitions:
+        """Return a recording with a guess of what was not measured: rates by differences, what lags as at rest.
+
+        Args:
+            data: the recording, NaN where a state was not measured.
+        """
+        return settle_lag_states(reconstruct(data, rate_states(self.library, self.constraints)), self.followers)
+
     def get_extra_state(self) -> dict[str, object]:
         """Return what `state_dict` keeps besides the coefficients, as the fitted factors and the delay."""
         return {
@@ -334,7 +342,7 @@ class SindyModel(WorldModel):
         start = time.process_time()
         data, constraints, cut = self._checked(transitions), self.constraints, list[Finding]()
         rates, first = rate_states(self.library, constraints), None
-        guess = settle_lag_states(reconstruct(data, rates), self.followers)
+        guess = self.guess_states(data)
         hidden = data.x.isnan().all(0) & data.x_next.isnan().all(0)
         if self.initial is not None:
             first = torch.where(constraints.free, self.initial, constraints.offset)

@@ -114,7 +114,7 @@ def prediction(
     names, units = ([kind[i] for i in seen] for kind in (signature.state_names, signature.state_units))
     inputs = () if u is None else signature.input_names
     figure, axes = style.time_panels([*names, *inputs], [*units, *("-" for _ in inputs)], title)
-    for axis, unit, course, ended in zip(axes, units, truths[:, seen].T, model[:, seen].T, strict=False):
+    for axis, unit, course, ended in zip(axes[: len(seen)], units, truths[:, seen].T, model[:, seen].T, strict=True):
         known = course[~np.isnan(course)]
         wide = float(np.ptp(known))
         whole = (f"{wide:.0f}" if wide >= 100 else f"{wide:.3g}") + unit_suffix(unit)
